@@ -1,4 +1,4 @@
-"""Print what developing pathfold needs, one requirement a line: the build's, the package's and all extras' (pyproject.toml)."""
+"""Print what developing pathfold needs, one requirement a line: pyproject.toml's build, package and extras."""
 
 import tomllib
 from pathlib import Path
@@ -6,6 +6,6 @@ from pathlib import Path
 with (Path(__file__).parent.parent / "pyproject.toml").open("rb") as file:
     settings = tomllib.load(file)
 project = settings["project"]
-extras = project["optional-dependencies"].values()
-wanted = {*settings["build-system"]["requires"], *project["dependencies"], *(line for extra in extras for line in extra)}
+wanted = {*settings["build-system"]["requires"], *project["dependencies"]}
+wanted.update(*project["optional-dependencies"].values())
 print("\n".join(sorted(wanted)))
