@@ -1,4 +1,4 @@
-"""Print what developing pathfold needs, one requirement a line: pyproject.toml's build, package and extras."""
+"""Print what developing pathfold needs, one requirement a line: all that pyproject.toml asks for."""
 
 import tomllib
 from pathlib import Path
