@@ -1,0 +1,94 @@
+"""The `samples` part of a file: one group of channels per camera sample, `samples.NNN.<field>`.
+
+    path.radiance.R/G/B        undivided radiance of the path's dominant contribution      natural logarithm
+    path.light.R/G/B           its photon energy                                           natural logarithm
+    path.attenuation.V.R/G/B   BSDF times cosine at vertex V = 0 ... 5                     natural logarithm
+    path.tag.V                 interaction at vertex V, 0 where the path has ended
+    path.roughness.V           roughness of the lobe sampled at vertex V, 0 delta or ended, 1 diffuse
+    path.density               sum of the natural logarithms of the sampling densities     float
+    valid                      1, or 0 for a sample that was not finite                    only where any is 0
+A logarithm of nothing (the raw value is 0) is stored as -100. All are half floats but the density.
+"""
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pathfold.images import ImageError, ImageFile, NewPart
+
+VERTICES = 6
+PART = "samples"
+# The channels of `samples.descriptor`, in the order that the networks read them.
+DESCRIPTOR = (
+    *(f"path.radiance.{c}" for c in "RGB"),
+    *(f"path.light.{c}" for c in "RGB"),
+    *(f"path.attenuation.{vertex}.{c}" for vertex in range(VERTICES) for c in "RGB"),
+    *(f"path.tag.{vertex}" for vertex in range(VERTICES)),
+    *(f"path.roughness.{vertex}" for vertex in range(VERTICES)),
+)
+_FIELDS = {"descriptor": DESCRIPTOR, "density": ("path.density",), "valid": ("valid",)}
+_TYPES = {"descriptor": np.float16, "density": np.float32, "valid": np.float16}
+_CHANNEL = re.compile(r"samples\.(\d+)\.(.+)")
+
+Samples = dict[str, NDArray[np.floating]]
+
+
+def to_part(samples: Mapping[str, NDArray[np.floating]]) -> NewPart:
+    """The part that holds a block of samples: "descriptor" S x H x W x 36, "density" S x H x W x 1, ..."""
+    count, height, width, _ = samples["descriptor"].shape
+    kinds = {name: "float" if _TYPES[name] == np.float32 else "half" for name in samples}
+    names = [f"samples.{s:03d}.{field}" for s in range(count) for name in samples for field in _FIELDS[name]]
+    formats = [kinds[name] for _ in range(count) for name in samples for _ in _FIELDS[name]]
+
+    def rows(first: int, last: int) -> NDArray[np.floating]:
+        blocks = [samples[name][s, first:last] for s in range(count) for name in samples]
+        return np.concatenate(blocks, axis=-1, dtype=np.float32)
+
+    return NewPart(PART, names, formats, (width, height), rows)
+
+
+def count(file: ImageFile) -> int:
+    """How many samples per pixel a file holds; 0 where it holds none."""
+    part = find(file)
+    return 0 if part is None else len({found.group(1) for found in _numbered(file, part)})
+
+
+def find(file: ImageFile) -> int | None:
+    """The part that holds the samples, None where there is none."""
+    for number in range(len(file.parts)):
+        if any(_numbered(file, number)):
+            return number
+    return None
+
+
+def load(file: ImageFile) -> Samples:
+    """Read the block of samples, descriptor in float16, in one pass through the part.
+
+    Raises ImageError where a field of a sample is missing or the size differs from the picture's.
+    """
+    part = find(file)
+    if part is None:
+        raise ImageError(f"{file.path}: has no samples; `pathfold render` writes them")
+    channels = {name: number for number, name in enumerate(file.parts[part].channelnames)}
+    numbers = sorted({found.group(1) for found in _numbered(file, part)}, key=int)
+    spec = file.parts[part]
+    block, places = {}, {}
+    for name, fields in _FIELDS.items():
+        if not any(f"samples.{s}.{fields[0]}" in channels for s in numbers):
+            continue
+        wanted = [f"samples.{s}.{field}" for s in numbers for field in fields]
+        if missing := [channel for channel in wanted if channel not in channels]:
+            raise ImageError(f"{file.path}: {missing[0]} is missing ({len(missing)} sample channels in all)")
+        places[name] = np.array([channels[channel] for channel in wanted])
+        block[name] = np.empty((len(numbers), spec.height, spec.width, len(fields)), _TYPES[name])
+    for row, rows in file.bands(part):
+        for name, at in places.items():
+            picked = rows[..., at].reshape(*rows.shape[:2], len(numbers), -1)
+            block[name][:, row : row + len(rows)] = np.moveaxis(picked, 2, 0)
+    return block
+
+
+def _numbered(file: ImageFile, part: int) -> list[re.Match[str]]:
+    return [found for name in file.parts[part].channelnames if (found := _CHANNEL.fullmatch(name))]

@@ -1,0 +1,190 @@
+"""Denoising from Python: `denoise` for one picture, `Denoiser` for many."""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pathfold import _core, models
+from pathfold._core import PathfoldError, version
+
+__all__ = ["Denoiser", "PathfoldError", "Result", "as_array", "denoise", "version"]
+
+Array = Any  # whatever has the array interface or DLPack: NumPy, torch on the CPU, Mitsuba, ...
+Progress = Callable[[float], bool | None]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What one run gives back: float32 arrays, height x width x channels, finite."""
+
+    color: NDArray[np.float32]
+    alpha: NDArray[np.float32] | None = None
+    diffuse: NDArray[np.float32] | None = None  # with `specular`, where the frame came split
+    specular: NDArray[np.float32] | None = None
+    layers: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    report: dict[str, Any] = field(default_factory=dict)  # what was used, left out, sanitised and spent
+
+
+class Denoiser:
+    """A model that is loaded and ready; keep it for repeated frames.
+
+    `model` is a name (`pathfold.models.available()`) or a folder. `provider` names the onnxruntime execution
+    provider ("cpu", "cuda", ...); one that is not there is an error, never replaced. `threads` 0 means all
+    cores,
+    `memory_mb` caps the memory of a run (0: no cap), `tile` forces the tile's side in pixels (0: planned).
+    Raises PathfoldError, whose `code` says what kind of fault it is.
+    """
+
+    def __init__(
+        self,
+        model: str | os.PathLike[str] = "kpcn-vanilla",
+        *,
+        provider: str = "cpu",
+        threads: int = 0,
+        memory_mb: int = 0,
+        tile: int = 0,
+    ) -> None:
+        _point_to_onnxruntime()
+        self.model = _core.Model(os.fspath(models.find(model)), provider=provider, threads=threads)
+        self._core = _core.Denoiser(self.model, memory_mb=memory_mb, tile=tile)
+
+    def run(
+        self,
+        color: Array | None = None,
+        *,
+        diffuse: Array | None = None,
+        specular: Array | None = None,
+        diffuse_albedo: Array | None = None,
+        albedo: Array | None = None,
+        normal: Array | None = None,
+        depth: Array | None = None,
+        alpha: Array | None = None,
+        variance: Array | None = None,
+        diffuse_variance: Array | None = None,
+        specular_variance: Array | None = None,
+        samples: Mapping[str, Array] | None = None,
+        layers: Mapping[str, Mapping[str, Array]] | None = None,
+        exposure: float | None = None,
+        progress: Progress | None = None,
+    ) -> Result:
+        """Denoise one frame.
+
+        Images are height x width x channels (one-channel ones may be height x width), float32 or float16,
+        any strides:
+        `color`, `diffuse`, `specular`: linear radiance >= 0; `diffuse_albedo`, `albedo` in [0, 1]; `normal`
+        in [-1, 1]; `depth` > 0, 0 on a miss; `alpha` in [0, 1]; the variances are those of the pixel mean.
+        `samples`: {"descriptor": S x H x W x 36, "density": S x H x W x 1, "valid": S x H x W x 1
+        (optional)}.
+        `layers`: AOVs to filter alike, {"key light": {"color": ...}} or {..: {"diffuse": ..., "specular":
+        ...}}. Give `diffuse`, `specular` and `diffuse_albedo` for the better split filtering, else `color`.
+        `exposure` replaces the automatic factor; `progress` gets the fraction done and returns False to
+        cancel. Raises PathfoldError that names the buffer, what was given and what would be right.
+        """
+        named = {
+            "color": color,
+            "diffuse": diffuse,
+            "specular": specular,
+            "diffuse.albedo": diffuse_albedo,
+            "albedo": albedo,
+            "normal": normal,
+            "depth": depth,
+            "alpha": alpha,
+            "variance": variance,
+            "diffuse.variance": diffuse_variance,
+            "specular.variance": specular_variance,
+        }
+        named |= {f"samples.{name}": block for name, block in (samples or {}).items()}
+        return self.run_buffers(named, layers=layers, exposure=exposure, progress=progress)
+
+    def run_buffers(
+        self,
+        buffers: Mapping[str, Array | None],
+        *,
+        layers: Mapping[str, Mapping[str, Array]] | None = None,
+        exposure: float | None = None,
+        progress: Progress | None = None,
+    ) -> Result:
+        """`run` with the buffers under their own names ("diffuse.albedo", "samples.descriptor", ...)."""
+        arrays = {name: as_array(name, value) for name, value in buffers.items() if value is not None}
+        extra = {
+            layer: {part: as_array(f"layer {layer!r}, {part}", value) for part, value in parts.items()}
+            for layer, parts in (layers or {}).items()
+        }
+        images, report = self._core.run(
+            arrays,
+            layers=extra or None,
+            exposure=exposure,
+            progress=None if progress is None else lambda done: progress(done) is not False,
+        )
+        kept = {name: images.pop(name, None) for name in ("alpha", "diffuse", "specular")}
+        return Result(color=images.pop("color"), **kept, layers=images, report=report)
+
+
+def denoise(
+    color: Array | None = None, *, model: str | os.PathLike[str] | Denoiser = "kpcn-vanilla", **buffers: Any
+) -> NDArray[np.float32]:
+    """Denoise one frame and return its colour, height x width x 3, float32.
+
+    `model` is a name, a folder or a `Denoiser`; everything else is what `Denoiser.run` takes: `albedo`,
+    `normal`,
+    `depth`, `diffuse`, `specular`, `diffuse_albedo`, `variance`, `samples`, `exposure`, ... Loaded models
+    are kept. Raises PathfoldError.
+    """
+    denoiser = model if isinstance(model, Denoiser) else _denoiser(models.find(model).resolve())
+    return denoiser.run(color, **buffers).color
+
+
+@lru_cache(maxsize=4)
+def _denoiser(folder: Path) -> Denoiser:
+    return Denoiser(folder)
+
+
+def as_array(name: str, value: Array) -> NDArray[Any]:
+    """A float32 or float16 NumPy view of anything array-like on the host, copied where no view exists."""
+    if not isinstance(value, np.ndarray):
+        value = _from_foreign(name, value)
+    if value.dtype in (np.float32, np.float16):
+        return value
+    if value.dtype.kind == "f":  # float64, or foreign byte order
+        return value.astype(np.float32)
+    raise PathfoldError(
+        "invalid-argument",
+        f"{name}: given {value.dtype} values; pass linear float32 or float16, say array.astype('float32')",
+    )
+
+
+def _from_foreign(name: str, value: Array) -> NDArray[Any]:
+    try:
+        if hasattr(value, "__dlpack__"):
+            try:
+                return np.from_dlpack(value)
+            except (BufferError, RuntimeError, TypeError, ValueError):
+                pass  # Mitsuba tensors on a GPU and read-only exports still have __array__
+        return np.asarray(value)
+    except Exception as error:
+        raise PathfoldError(
+            "invalid-argument",
+            f"{name}: a {type(value).__module__}.{type(value).__qualname__} cannot be read as a host array "
+            f"({str(error).splitlines()[0] if str(error) else type(error).__name__}); "
+            "pass NumPy, or torch after .detach().cpu()",
+        ) from error
+
+
+@lru_cache(maxsize=1)
+def _point_to_onnxruntime() -> None:
+    """Tell the SDK where the onnxruntime package keeps its library; PATHFOLD_ONNXRUNTIME goes first."""
+    if "PATHFOLD_ONNXRUNTIME" in os.environ:
+        return
+    package = find_spec("onnxruntime")
+    for folder in (package.submodule_search_locations or []) if package else []:
+        for pattern in ("libonnxruntime.so*", "libonnxruntime*.dylib", "onnxruntime.dll"):
+            for library in sorted((Path(folder) / "capi").glob(pattern)):
+                _core.set_onnxruntime(str(library))
+                return

@@ -1,0 +1,60 @@
+"""Which models there are, and where.
+
+A model is a folder with a manifest.json. A name is an existing folder, else looked up in every folder of
+PATHFOLD_MODEL_PATH, else in the installed package (in a checkout: the repository's models/).
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+_PACKAGE = Path(__file__).parent
+
+
+def directories() -> list[Path]:
+    """The folders that are searched for models, first match wins."""
+    listed = [Path(entry) for entry in os.environ.get("PATHFOLD_MODEL_PATH", "").split(os.pathsep) if entry]
+    return [*listed, *shipped_directories()]
+
+
+def shipped_directories() -> list[Path]:
+    """Where the models that come with pathfold lie: inside the package, or in the checkout it runs from."""
+    candidates = (_PACKAGE / "models", _PACKAGE.parent.parent / "models")
+    return [folder for folder in candidates if folder.is_dir()]
+
+
+def available(folders: list[Path] | None = None) -> dict[str, Path]:
+    """Every model that can be named, name -> folder; `folders` defaults to all searched ones."""
+    found: dict[str, Path] = {}
+    for folder in directories() if folders is None else folders:
+        for manifest in sorted(folder.glob("*/manifest.json")):
+            found.setdefault(manifest.parent.name, manifest.parent)
+    return dict(sorted(found.items()))
+
+
+def find(name: str | os.PathLike[str]) -> Path:
+    """The folder of a model, given its name or its folder.
+
+    Raises PathfoldError ("not-found") that lists what there is.
+    """
+    from pathfold import _core
+
+    return Path(_core.find_model(os.fspath(name), [os.fspath(folder) for folder in shipped_directories()]))
+
+
+def manifest(name: str | os.PathLike[str]) -> dict[str, Any]:
+    """The manifest of a model as it stands in its file, unchecked (a Denoiser checks it)."""
+    loaded: dict[str, Any] = json.loads((find(name) / "manifest.json").read_text(encoding="utf-8"))
+    return loaded
+
+
+def inputs(name: str | os.PathLike[str]) -> set[str]:
+    """All buffers that a model reads: those that it requires and those that it can use."""
+    entry = manifest(name)
+    return {*entry["requires"], *entry.get("uses", ())}
+
+
+def shipped_inputs() -> set[str]:
+    """All buffers that any model that comes with pathfold reads."""
+    return set().union(*(inputs(folder) for folder in available(shipped_directories()).values()))
