@@ -1,0 +1,85 @@
+"""What one training run is: a preset file, validated; saved with the checkpoint and in the exported manifest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+
+class Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Network(Strict):
+    """KPCN's widths; the topology is the same for every preset."""
+
+    width: int = Field(32, ge=4, description="channels of R's 5x5 convolutions")
+    layers: int = Field(9, ge=2, description="convolutions of R, the last one 1x1 (compact) or 5x5 (full)")
+    last_kernel: Literal[1, 5] = 1
+    kernel_size: int = Field(21, ge=3, description="K: the side of the predicted gather kernels, odd")
+    embedding: int = Field(0, ge=0, description="C: channels of the path embedding; 0 for kpcn-vanilla")
+    embedding_width: int = Field(16, ge=4, description="channels of F's top level; 2 and 4 times that below")
+
+
+class Loss(Strict):
+    """Weights of the terms, see losses.py."""
+
+    branch: float = 0.5  # per-branch terms beside the recombined image
+    manifold: float = 0.0  # lambda of the slides' formula; 0.0125 is the paper's 0.1 (DESIGN: code is 1/8 of it)
+    manifold_pairs: int = 16384  # local and non-local pairs drawn per image, each
+
+
+class Data(Strict):
+    crop: int = 96
+    batch: int = 4
+    spp_min: int = 1
+    spp_max: int = 8
+    drop: float = 0.1  # probability that an optional input is absent, each on its own
+    drop_all: float = 0.05  # ... that everything beyond color (and samples) is absent
+    drop_split: float = 0.15
+    normal_turn: float = 0.3  # probability of a random rotation, so that world space works too
+
+
+class Optimiser(Strict):
+    steps: int = 4000
+    learning_rate: float = 1.0e-3
+    warmup: int = 100
+    final_fraction: float = 0.01  # of the learning rate, at the end of the cosine
+    clip: float = 1.0  # gradient norm
+    precision: Literal["fp32", "bf16"] = "bf16"
+    lattice: int = 3  # kernels are predicted on every n-th pixel in both directions while training
+
+
+class Config(Strict):
+    name: str
+    description: str
+    network: Network = Network()
+    loss: Loss = Loss()
+    data: Data = Data()
+    optimiser: Optimiser = Optimiser()
+
+    @staticmethod
+    def load(path: Path) -> Config:
+        """Read a preset. Raises ValueError naming the file and each key that does not fit."""
+        try:
+            return Config.model_validate(yaml.safe_load(path.read_text()))
+        except FileNotFoundError:
+            raise ValueError(f"no preset {path}; there are: {', '.join(preset_names())}") from None
+        except (ValidationError, yaml.YAMLError) as error:
+            raise ValueError(f"preset {path}: {error}") from error
+
+
+PRESETS = Path(__file__).resolve().parent.parent / "presets"
+
+
+def preset_names() -> list[str]:
+    return sorted(p.stem for p in PRESETS.glob("*.yaml"))
+
+
+def load_preset(name_or_path: str) -> Config:
+    """A preset by name (training/presets/NAME.yaml) or by path."""
+    path = Path(name_or_path)
+    return Config.load(path if path.suffix == ".yaml" else PRESETS / f"{name_or_path}.yaml")

@@ -1,0 +1,61 @@
+"""The training losses: a robust relative image loss and WCMC's manifold loss."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+RELATIVE_EPSILON = 0.01  # RelL2's, in exposed units
+GAMMA = 1 / 2.2
+
+
+def error_scale(reference: Tensor) -> Tensor:
+    """The radiance that errors are measured against: sqrt(r^2 + eps) of the exposed reference, B x 3 x H x W, smoothed.
+
+    Dividing by the pixel's own noisy reference would punish just the pixels it underestimates (bias table in the
+    design); a 5x5 mean decorrelates the two.
+    """
+    smooth = functional.avg_pool2d(reference, 5, stride=1, padding=2, count_include_pad=False)
+    return torch.sqrt(smooth.square() + RELATIVE_EPSILON)
+
+
+def relative_huber(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
+    """Mean of the Huber function of the relative error: d^2 up to |d| = 1, then 2|d| - 1. Exposed radiance."""
+    d = ((output - reference) / scale).abs()
+    return torch.where(d < 1.0, d.square(), 2.0 * d - 1.0).mean()
+
+
+def tone_map(radiance: Tensor) -> Tensor:
+    """The manifold's label: (I / (1 + I))^(1/2.2) per channel, in [0, 1)."""
+    radiance = torch.clamp(radiance, min=0.0)
+    return (radiance / (1.0 + radiance)) ** GAMMA
+
+
+def manifold_loss(
+    embedding: Tensor, label: Tensor, counts: list[int], pairs: int, generator: torch.Generator
+) -> Tensor:
+    """L_m, local plus non-local: mean of (|f_x - f_y|^2 - |tau_x - tau_y|^2)^2 (slides' formula, paper notes 5.1).
+
+    embedding N x C x H x W (all samples of B images, image after image), label B x 3 x H x W (tone-mapped reference;
+    every sample of a pixel shares it), `pairs` drawn per image for each of the two terms. Local pairs join samples of
+    one image, non-local ones samples anywhere in the batch. In fp32.
+    """
+    chosen, labels = [], []
+    for part, tau in zip(torch.split(embedding.float(), counts), label, strict=True):
+        samples, channels, height, width = part.shape
+        index = torch.randint(samples * height * width, (2 * pairs,), generator=generator).to(part.device)
+        pixel = index % (height * width)
+        chosen.append(part.permute(1, 0, 2, 3).reshape(channels, -1)[:, index])  # C x 2 pairs
+        labels.append(tau.reshape(3, -1)[:, pixel])
+    f, t = torch.stack(chosen), torch.stack(labels)  # B x C x 2P, B x 3 x 2P
+    local = pair_error(f[..., :pairs], f[..., pairs:], t[..., :pairs], t[..., pairs:])
+    flat_f, flat_t = f.transpose(0, 1).flatten(1), t.transpose(0, 1).flatten(1)
+    order = torch.randperm(flat_f.shape[1], generator=generator).to(f.device)
+    a, b = order.chunk(2)
+    return local + pair_error(flat_f[:, a], flat_f[:, b], flat_t[:, a], flat_t[:, b])
+
+
+def pair_error(fx: Tensor, fy: Tensor, tx: Tensor, ty: Tensor) -> Tensor:
+    axis = -2
+    return ((fx - fy).square().sum(axis) - (tx - ty).square().sum(axis)).square().mean()

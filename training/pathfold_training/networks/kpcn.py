@@ -1,0 +1,101 @@
+"""KPCN with a path embedding: one network per radiance branch, each predicting K x K gather kernels."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from ..config import Network
+from ..features import BRANCH_CHANNELS, OPTIONAL, branch_features, density_features, descriptor_features
+from . import embedding
+from .embedding import PathEmbedding, per_sample, pixel_embedding, sample_mean
+
+BRANCHES = ("diffuse", "specular")
+SAMPLE_INPUTS = ("samples.descriptor", "samples.density", "samples.valid")
+
+
+class Branch(nn.Module):
+    """R (and F) of one branch. `demodulate` is set for the diffuse one."""
+
+    def __init__(self, network: Network, demodulate: bool) -> None:
+        super().__init__()
+        self.demodulate = demodulate
+        self.paths = PathEmbedding(network.embedding, network.embedding_width) if network.embedding else None
+        extra = 1 + network.embedding + 1 if network.embedding else 0  # log q, the embedding's mean and variance
+        widths = [BRANCH_CHANNELS + extra] + [network.width] * (network.layers - 1)
+        layers: list[nn.Module] = []
+        for inputs, outputs in zip(widths, widths[1:], strict=False):
+            layers += [nn.Conv2d(inputs, outputs, 5, padding=2), nn.ReLU()]
+        self.trunk = nn.Sequential(*layers)
+        last = network.last_kernel
+        self.head = nn.Conv2d(network.width, network.kernel_size**2, last, padding=last // 2)
+
+    def input_names(self) -> list[str]:
+        """Graph inputs in order; B = 1 when exported."""
+        names = ["radiance", "variance", "albedo", "normal", "depth"]
+        names += ["diffuse.albedo"] if self.demodulate else []
+        names += list(SAMPLE_INPUTS) if self.paths else []
+        return names + ["exposure", "depth_scale"] + [f"{name}.present" for name in OPTIONAL]
+
+    def features(self, inputs: dict[str, Tensor], counts: list[int] | None) -> tuple[Tensor, Tensor | None]:
+        """R's input B x C x H x W, and F's output N x C x H x W."""
+        x = branch_features(inputs, self.demodulate)
+        if self.paths is None:
+            return x, None
+        valid = inputs["samples.valid"]
+        descriptor = inputs.get("samples.features")  # training computes them once for both branches
+        paths = self.paths(path_features(inputs, counts) if descriptor is None else descriptor, valid, counts)
+        density = sample_mean(density_features(inputs["samples.density"]), valid, counts)
+        return torch.cat([x, density, pixel_embedding(paths, valid, counts)], 1), paths
+
+    def forward(
+        self,
+        inputs: dict[str, Tensor],
+        counts: list[int] | None = None,
+        lattice: int = 1,
+        offset: tuple[int, int] = (0, 0),
+    ) -> tuple[Tensor, Tensor | None]:
+        """Logits B x K*K x h x w on the lattice (all pixels by default) and the embeddings for the manifold loss."""
+        x, paths = self.features(inputs, counts)
+        hidden = self.trunk(x.contiguous(memory_format=torch.channels_last))
+        if lattice > 1 and self.head.kernel_size[0] == 1:  # a 1x1 head needs no neighbours
+            return self.head(hidden[:, :, offset[0] :: lattice, offset[1] :: lattice]), paths
+        return self.head(hidden)[:, :, offset[0] :: lattice, offset[1] :: lattice], paths
+
+
+def path_features(inputs: dict[str, Tensor], counts: list[int] | None = None) -> Tensor:
+    """F's input N x 36 x H x W of a frame or batch."""
+    log_exposure = torch.log(per_sample(inputs["exposure"], counts))
+    features = descriptor_features(inputs["samples.descriptor"], log_exposure)
+    return features.contiguous(memory_format=torch.channels_last)
+
+
+class Kpcn(nn.Module):
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = network
+        self.branches = nn.ModuleDict({name: Branch(network, name == "diffuse") for name in BRANCHES})
+
+
+def overlap(network: Network) -> int:
+    """Pixels around a tile that its result depends on: R, the gradient's one, F, and the kernel; a multiple of 4."""
+    radius = 2 * (network.layers - 1) + network.last_kernel // 2 + 1 + network.kernel_size // 2
+    radius += embedding.RADIUS if network.embedding else 0
+    return -(-radius // embedding.ALIGNMENT) * embedding.ALIGNMENT
+
+
+def macs_per_pixel(network: Network, spp: int) -> float:
+    """Multiply-adds per output pixel, both branches, from the layers' sizes."""
+    total = 0.0
+    for branch in Kpcn(network).branches.values():
+        for name, module in branch.named_modules():
+            if isinstance(module, nn.Conv2d):
+                share = 1.0
+                if "middle" in name:
+                    share = 1 / 4
+                elif "bottom" in name:
+                    share = 1 / 16
+                elif name.startswith(("paths.sample", "paths.head_sample")) or name == "paths.head":
+                    share = spp
+                total += share * module.weight.numel()
+    return total

@@ -1,0 +1,131 @@
+"""Algorithm 1 as one Lightning task: F and R learn together from the image loss and the manifold loss."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import lightning
+import torch
+from torch import Tensor
+
+from .config import Config
+from .data import Batch, Inputs
+from .features import DEMODULATION_EPSILON
+from .losses import error_scale, manifold_loss, relative_huber, tone_map
+from .networks.kpcn import Kpcn, path_features
+from .networks.reconstruct import gather
+
+
+@dataclass
+class Target:
+    """What one branch is to filter, and against what: exposed radiance B x 3 x H x W."""
+
+    radiance: Tensor  # the branch's noisy radiance, demodulated
+    remodulate: Tensor  # noisy factor of the result
+    reference: Tensor  # remodulated
+    label: Tensor  # the manifold's: reference before remodulation
+
+
+def branch_inputs(inputs: Inputs, branch: str) -> Inputs:
+    """A branch graph's own inputs: `radiance` and `variance` are the branch's, or color's in frames without a split."""
+    split = inputs["split.present"].reshape(-1, 1, 1, 1)
+    own, unsplit = (
+        inputs[branch],
+        inputs["color"] if branch == "specular" else torch.zeros_like(inputs["color"]),
+    )
+    own_variance, variance = inputs[f"{branch}.variance"], inputs["variance"]
+    return inputs | {
+        "radiance": own * split + unsplit * (1.0 - split),
+        "variance": own_variance * split + variance * (1.0 - split),
+    }
+
+
+def branch_target(inputs: Inputs, reference: Inputs, branch: str) -> Target:
+    exposure = inputs["exposure"].reshape(-1, 1, 1, 1)
+    split = inputs["split.present"].reshape(-1, 1, 1, 1)
+    radiance = branch_inputs(inputs, branch)["radiance"] * exposure
+    total, diffuse = reference["color"] * exposure, reference["diffuse"] * exposure
+    if branch == "diffuse":
+        factor = inputs["diffuse.albedo"] + DEMODULATION_EPSILON
+        clean = reference["diffuse.albedo"] + DEMODULATION_EPSILON
+        return Target(radiance / factor, factor, diffuse * split, diffuse / clean)
+    wanted = total - diffuse * split
+    return Target(radiance, torch.ones_like(radiance), wanted, wanted)
+
+
+class Denoising(lightning.LightningModule):
+    def __init__(self, config: Config) -> None:
+        super().__init__()
+        self.config = config
+        self.save_hyperparameters({"config": config.model_dump()})
+        self.model = Kpcn(config.network).to(memory_format=torch.channels_last)
+        self.generator = torch.Generator()
+
+    def training_step(self, batch: Batch, step: int) -> Tensor:
+        # pairs and lattice phase depend on the global step alone, so that a resumed run repeats them
+        self.generator.manual_seed(self.global_step)
+        lattice = self.config.optimiser.lattice
+        phase = torch.randint(lattice, (2,), generator=self.generator)
+        offset = (int(phase[0]), int(phase[1]))
+        reference = batch.reference["color"] * batch.inputs["exposure"].reshape(-1, 1, 1, 1)
+        scale = on_lattice(error_scale(reference), lattice, offset)
+        image, terms, manifold = torch.zeros_like(scale), [], []
+        if self.config.network.embedding:
+            batch.inputs["samples.features"] = path_features(batch.inputs, batch.counts).to(
+                memory_format=torch.channels_last
+            )
+        for name, branch in self.model.branches.items():
+            target = branch_target(batch.inputs, batch.reference, name)
+            logits, paths = branch(branch_inputs(batch.inputs, name), batch.counts, lattice, offset)
+            with torch.autocast(self.device.type, enabled=False):
+                filtered = gather(logits.float(), target.radiance, self.config.network.kernel_size, lattice, offset)
+                filtered = filtered * on_lattice(target.remodulate, lattice, offset)
+                terms.append(relative_huber(filtered, on_lattice(target.reference, lattice, offset), scale))
+                image = image + filtered
+                if paths is not None and self.config.loss.manifold > 0.0:
+                    pairs = self.config.loss.manifold_pairs
+                    manifold.append(manifold_loss(paths, tone_map(target.label), batch.counts, pairs, self.generator))
+        error = relative_huber(image, on_lattice(reference, lattice, offset), scale)
+        loss = error + self.config.loss.branch * sum(terms)
+        if manifold:
+            loss = loss + self.config.loss.manifold * sum(manifold)
+            self.log("manifold", sum(manifold), prog_bar=True, batch_size=len(batch.counts))
+        self.log("image", error, prog_bar=True, batch_size=len(batch.counts))
+        return loss
+
+    def validation_step(self, batch: Batch, step: int) -> None:
+        exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
+        reference = batch.reference["color"] * exposure
+        error = (self.denoise(batch) * exposure - reference).square() / (reference.square() + 0.01)
+        noisy = (batch.inputs["color"] * exposure - reference).square() / (reference.square() + 0.01)
+        # geometric mean over views of the ratio to the input: no view dominates
+        self.log("val_ratio_log", torch.log(error.mean() / noisy.mean()), prog_bar=True, batch_size=1)
+
+    def denoise(self, batch: Batch) -> Tensor:
+        """The whole frame, linear unexposed radiance B x 3 x H x W."""
+        image = torch.zeros_like(batch.inputs["color"])
+        exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
+        for name, branch in self.model.branches.items():
+            target = branch_target(batch.inputs, batch.reference, name)
+            logits, _ = branch(branch_inputs(batch.inputs, name), batch.counts)
+            filtered = gather(logits.float(), target.radiance, self.config.network.kernel_size)
+            image = image + filtered * target.remodulate
+        return image / exposure
+
+    def configure_optimizers(self) -> dict:
+        options = self.config.optimiser
+        adam = torch.optim.Adam(self.parameters(), lr=options.learning_rate)
+
+        def rate(step: int) -> float:
+            warm = min(1.0, (step + 1) / options.warmup)
+            progress = min(1.0, step / options.steps)
+            low = options.final_fraction
+            return warm * (low + (1.0 - low) * 0.5 * (1.0 + math.cos(math.pi * progress)))
+
+        schedule = torch.optim.lr_scheduler.LambdaLR(adam, rate)
+        return {"optimizer": adam, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+def on_lattice(x: Tensor, lattice: int, offset: tuple[int, int]) -> Tensor:
+    return x[:, :, offset[0] :: lattice, offset[1] :: lattice]
