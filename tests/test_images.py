@@ -6,41 +6,8 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
+from exr_files import SIZE, noise, part, write
 from pathfold.images import HALF_MAX, ImageError, ImageFile, NewPart, OutputError, replacing, write_parts
-
-SIZE = (12, 9)  # width, height
-Parts = list[tuple[oiio.ImageSpec, np.ndarray]]
-
-
-def part(name: str, channels: list[str], kinds: list[str], values: np.ndarray, **header: object) -> tuple:
-    height, width = values.shape[:2]
-    spec = oiio.ImageSpec(width, height, len(channels), oiio.FLOAT)
-    spec.channelnames = tuple(channels)
-    spec.channelformats = tuple(oiio.TypeDesc(kind) for kind in kinds)
-    spec.attribute("compression", "zips")
-    if name:
-        spec.attribute("oiio:subimagename", name)
-    for key, value in header.items():
-        spec.attribute(key, value)
-    return spec, np.ascontiguousarray(values, np.float32)
-
-
-def write(path: Path, parts: Parts) -> Path:
-    output = oiio.ImageOutput.create(str(path))
-    for number, (spec, values) in enumerate(parts):
-        if number:
-            assert output.open(str(path), spec, "AppendSubimage")
-        else:
-            assert output.open(str(path), tuple(spec for spec, _ in parts) if len(parts) > 1 else spec), (
-                output.geterror()
-            )
-        assert output.write_image(values), output.geterror()
-    assert output.close()
-    return path
-
-
-def noise(channels: int, seed: int = 0, size: tuple[int, int] = SIZE) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(0, 4, (size[1], size[0], channels)).astype(np.float32)
 
 
 @pytest.fixture
@@ -131,9 +98,7 @@ def test_tiles_and_windows_are_kept(tmp_path: Path) -> None:
 def test_new_parts_come_back(tmp_path: Path) -> None:
     size, deep = (7, 150), 1500  # more rows than a band, more channels than OpenImageIO opens by default
     values = np.random.default_rng(3).normal(0, 1e5, (size[1], size[0], deep)).astype(np.float32)
-    part = NewPart(
-        "many", [f"c{i:04d}" for i in range(deep)], ["float"] * deep, size, lambda a, b: values[a:b]
-    )
+    part = NewPart("many", [f"c{i:04d}" for i in range(deep)], ["float"] * deep, size, lambda a, b: values[a:b])
     write_parts(tmp_path / "new.exr", [part], {"pathfold:version": "0", "pathfold:spp": 8})
     file = ImageFile(tmp_path / "new.exr")
     assert np.concatenate([rows for _, rows in file.bands(0)]).tobytes() == values.tobytes()

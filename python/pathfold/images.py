@@ -69,9 +69,7 @@ class ImageFile:
             self.parts.append(self._input.spec().copy())
         for spec in self.parts:
             if spec.width < 1 or spec.height < 1 or spec.nchannels < 1:
-                raise ImageError(
-                    f"{self.path}: has no pixels ({spec.width}x{spec.height}, {spec.nchannels} channels)"
-                )
+                raise ImageError(f"{self.path}: has no pixels ({spec.width}x{spec.height}, {spec.nchannels} channels)")
         self.layers = _layers(self.parts)
 
     def part_name(self, part: int) -> str:
@@ -132,8 +130,8 @@ class ImageFile:
         for number in kept:
             if self.parts[number].deep:
                 raise OutputError(
-                    f"{self.path}: part '{self.part_name(number)}' is deep, which cannot be written beside flat "
-                    "parts; have it written to a file of its own"
+                    f"{self.path}: part '{self.part_name(number)}' is deep, which cannot be written beside "
+                    "flat parts; have it written to a file of its own"
                 )
         specs = [self.parts[number].copy() for number in kept]
         for name, value in (metadata or {}).items():
@@ -147,9 +145,7 @@ class ImageFile:
                     self._input.seek_subimage(number, 0)
                     writer.copy(self._input)
 
-    def _merged(
-        self, part: int, changed: Mapping[tuple[int, int], NDArray[np.float32]]
-    ) -> NDArray[np.float32]:
+    def _merged(self, part: int, changed: Mapping[tuple[int, int], NDArray[np.float32]]) -> NDArray[np.float32]:
         spec = self.parts[part]
         pixels = self.read(part, range(spec.nchannels))
         formats = spec.channelformats or (spec.format,) * spec.nchannels
@@ -160,7 +156,8 @@ class ImageFile:
             elif kind == oiio.TypeUInt and pixels[..., number].max() * 4294967295.0 > _FLOAT_EXACT:
                 raise OutputError(
                     f"{self.path}: channel '{spec.channelnames[number]}' holds integers above "
-                    f"{_FLOAT_EXACT}, which cannot be kept in a part that is denoised; have it written to a part of its own"
+                    f"{_FLOAT_EXACT}, which cannot be kept in a part that is denoised; "
+                    "have it written to a part of its own"
                 )
         return pixels
 
@@ -182,7 +179,8 @@ def write_parts(
     """Write a new EXR, ZIP-compressed. Raises OutputError; the file appears whole or not at all."""
     specs = []
     for part in parts:
-        spec = oiio.ImageSpec(*part.size, len(part.channels), oiio.FLOAT)
+        # OpenImageIO takes the formats of the channels only where they differ.
+        spec = oiio.ImageSpec(*part.size, len(part.channels), oiio.TypeDesc(part.formats[0]))
         spec.channelnames = tuple(part.channels)
         spec.channelformats = tuple(oiio.TypeDesc(kind) for kind in part.formats)
         spec.attribute("compression", "zip")

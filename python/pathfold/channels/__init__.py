@@ -211,12 +211,7 @@ def _resolve(file: ImageFile, entry: Any, star: str, view: str, component: str) 
     layers = [_lookup(file, name, star, view) for name in names]
     factor = _lookup(file, entry["times"], star, view) if "times" in entry else None
     divisor = file.metadata().get(entry["divide_by"]) if "divide_by" in entry else 1
-    if (
-        None in layers
-        or ("times" in entry and not factor)
-        or not isinstance(divisor, int | float)
-        or divisor <= 0
-    ):
+    if None in layers or ("times" in entry and not factor) or not isinstance(divisor, int | float) or divisor <= 0:
         return None
     return Source(tuple(layer for layer in layers if layer), component, factor, float(divisor))
 
@@ -281,4 +276,4 @@ def _star(pattern: str, layer: Layer) -> str | None:
 def _label(layer: Layer, component: str = "") -> str:
     if component:
         return f"{layer.name}.{component}" if layer.name else component
-    return layer.name or ",".join(letter for letter in "RGBA" if letter in layer.channels)
+    return layer.name or "R,G,B"

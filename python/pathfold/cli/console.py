@@ -1,0 +1,66 @@
+"""What the commands share: talking to the terminal, progress, errors in one line and their exit codes."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+FAILED, USAGE, INPUT, MODEL, OUTPUT, INTERRUPTED = 1, 2, 3, 4, 5, 130
+_CODES = {
+    "invalid-argument": INPUT,
+    "not-found": MODEL,
+    "invalid-model": MODEL,
+    "engine": MODEL,
+    "unsupported": MODEL,
+    "cancelled": INTERRUPTED,
+}
+
+
+class InputError(RuntimeError):
+    """An input that a command cannot use; the message names it and the cure."""
+
+
+def say(text: str) -> None:
+    """One line on stdout, as it is."""
+    print(text, flush=True)
+
+
+def complain(error: object) -> None:
+    """One line on stderr."""
+    text = error.format_message() if hasattr(error, "format_message") else str(error) or type(error).__name__
+    print(f"pathfold: {' '.join(text.split())}", file=sys.stderr, flush=True)
+
+
+def exit_code(error: Exception) -> int | None:
+    """The exit code of an error that is expected to happen; None for a fault of the program itself."""
+    from pathfold import PathfoldError
+    from pathfold.images import ImageError, OutputError
+
+    if isinstance(error, typer.Abort):
+        return INTERRUPTED
+    if hasattr(error, "format_message"):  # typer's own usage errors
+        return USAGE
+    if isinstance(error, PathfoldError):
+        return _CODES.get(error.code, FAILED)
+    kinds: dict[type[Exception], int] = {
+        ImageError: INPUT,
+        InputError: INPUT,
+        OutputError: OUTPUT,
+        ModuleNotFoundError: MODEL,
+        MemoryError: FAILED,
+    }
+    return next((code for kind, code in kinds.items() if isinstance(error, kind)), None)
+
+
+@contextmanager
+def progress(title: str, quiet: bool = False) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr that is told the fraction done; silent where stderr is no terminal."""
+    terminal = Console(stderr=True)
+    columns: tuple[Any, ...] = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=terminal, transient=True, disable=quiet or not terminal.is_terminal) as bar:
+        task = bar.add_task(title, total=1.0)
+        yield lambda done: bar.update(task, completed=done)

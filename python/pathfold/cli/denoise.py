@@ -1,0 +1,125 @@
+"""`pathfold denoise`: a picture file in, the same file with its noise removed out."""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pathfold.cli import console
+from pathfold.cli.console import InputError
+
+if TYPE_CHECKING:
+    from pathfold.channels import Frame
+
+
+def denoise(
+    source: Annotated[Path, typer.Argument(metavar="IN.exr", help="The noisy picture, or frames.####.exr.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.exr", help="Where the result goes.")],
+    model: Annotated[str, typer.Option("-m", "--model", help="A model's name or folder.")] = "kpcn-vanilla",
+    mapping: Annotated[
+        list[str] | None,
+        typer.Option("--map", metavar="BUFFER=LAYER", help="Name a buffer's layer, or none."),
+    ] = None,
+    layer: Annotated[
+        list[str] | None,
+        typer.Option("--layer", help="Filter these radiance layers alike, so that they add up."),
+    ] = None,
+    albedo: Annotated[Path | None, typer.Option("--alb", help="A file that holds the albedo.")] = None,
+    normal: Annotated[Path | None, typer.Option("--nrm", help="A file that holds the normals.")] = None,
+    exposure: Annotated[
+        float | None,
+        typer.Option("--exposure", min=0, help="Factor for the network's input; default: automatic."),
+    ] = None,
+    provider: Annotated[str, typer.Option(help="The onnxruntime execution provider.")] = "cpu",
+    threads: Annotated[int, typer.Option(min=0, help="Threads; 0: all cores.")] = 0,
+    memory: Annotated[int, typer.Option("--memory", min=0, metavar="MB", help="Cap; 0: none.")] = 0,
+    keep_samples: Annotated[bool, typer.Option("--keep-samples", help="Copy the noisy samples as well.")] = False,
+    quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Print errors only.")] = False,
+) -> None:
+    """Denoise an EXR. Channels are found by the conventions of the common renderers; all others are kept.
+
+    A sequence (frames.####.exr) is denoised frame by frame with the exposure of its first frame.
+    """
+    buffers = parse_map(mapping or [])
+    pairs = expand(source, output)
+    from pathfold.denoising import Denoiser
+    from pathfold.files import denoise_file
+
+    denoiser = Denoiser(model, provider=provider, threads=threads, memory_mb=memory)
+    exposures = [] if exposure is None else [exposure]
+    for number, (noisy, clean) in enumerate(pairs):
+        title = noisy.name if len(pairs) == 1 else f"{noisy.name} ({number + 1}/{len(pairs)})"
+        with console.progress(title, quiet) as bar:
+            done = denoise_file(
+                noisy,
+                clean,
+                denoiser,
+                mapping=buffers,
+                layers=layer or [],
+                guides={name: path for name, path in (("albedo", albedo), ("normal", normal)) if path},
+                exposures=exposures,
+                keep_samples=keep_samples,
+                progress=bar,
+            )
+        exposures = exposures or [result.report["exposure"] for _, result in done]
+        if not quiet:
+            for frame, result in done:
+                for line in (
+                    *(frame_lines(noisy, frame) if number == 0 else ()),
+                    *result_lines(result.report),
+                ):
+                    console.say(line)
+            console.say(f"{clean}")
+
+
+def parse_map(entries: Sequence[str]) -> dict[str, str]:
+    """`--map` entries, "buffer=layer" each, as a dictionary."""
+    parsed = {}
+    for entry in entries:
+        buffer, equals, layer = entry.partition("=")
+        if not equals or not buffer or not layer:
+            raise InputError(f"--map {entry}: write BUFFER=LAYER, for example albedo=MyAlbedo or normal=none")
+        parsed[buffer] = layer
+    return parsed
+
+
+def expand(source: Path, output: Path) -> list[tuple[Path, Path]]:
+    """The files that a name stands for, with their outputs: `####` stands for a frame number."""
+    run = re.search(r"#+", source.name)
+    if run is None:
+        return [(source, output)]
+    if "#" not in output.name:
+        raise InputError(f"{output}: a sequence needs {run.group()} in the name of its output, too")
+    number = re.compile(re.escape(source.name).replace(re.escape(run.group()), rf"(\d{{{len(run.group())},}})", 1))
+    listed = source.parent.iterdir() if source.parent.is_dir() else ()
+    frames = sorted((int(found.group(1)), path) for path in listed if (found := number.fullmatch(path.name)))
+    if not frames:
+        raise InputError(f"{source}: no file of that name with a frame number")
+    width = len(re.search(r"#+", output.name).group())  # type: ignore[union-attr]
+    return [
+        (path, output.with_name(re.sub(r"#+", f"{frame:0{width}d}", output.name, count=1))) for frame, path in frames
+    ]
+
+
+def frame_lines(path: Path, frame: "Frame") -> Iterator[str]:
+    """What was mapped to what."""
+    width, height = frame.size
+    yield f"{path}: {width}x{height}, channel names of {frame.preset.title}"
+    for line in frame.lines():
+        yield f"  {line}"
+
+
+def result_lines(report: dict[str, Any]) -> Iterator[str]:
+    """What a run used, mended, left out and took."""
+    inputs = report["inputs"]
+    yield f"  {report['model']} read {', '.join(inputs['used'])}"
+    if inputs["missing"]:
+        yield f"  not there: {', '.join(inputs['missing'])}"
+    if mended := {what: count for what, count in report["sanitised"].items() if count}:
+        yield "  mended: " + ", ".join(f"{count} {what.replace('_', ' ')}" for what, count in mended.items())
+    for entry in report["left_out"]:
+        yield f"  left out {entry['what']}: {entry['why']}"
+    spent = ", ".join(f"{stage} {took:.0f}" for stage, took in report["ms"].items() if stage != "total")
+    yield f"  exposure {report['exposure']:.4g}, {report['ms']['total']:.0f} ms ({spent})"

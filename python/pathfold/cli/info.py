@@ -1,0 +1,89 @@
+"""`pathfold info`: what there is: models, a model, a file."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pathfold.cli import console
+from pathfold.cli.denoise import frame_lines
+
+
+def info(
+    subject: Annotated[str, typer.Argument(metavar="[FILE|MODEL]", help="A picture, or a model.")] = "",
+) -> None:
+    """Tell about a picture (its layers, and which buffer each would be), a model, or the installation."""
+    if not subject:
+        lines = installation()
+    elif Path(subject).is_file() or (Path(subject).suffix.lower() == ".exr" and not Path(subject).is_dir()):
+        lines = picture(Path(subject))
+    else:
+        lines = model(subject)
+    for line in lines:
+        console.say(line)
+
+
+def installation() -> Iterator[str]:
+    """The version, where models are searched and which there are."""
+    from importlib.metadata import PackageNotFoundError
+    from importlib.metadata import version as package_version
+
+    from pathfold import models, version
+
+    yield f"pathfold {version()}"
+    for package in ("onnxruntime", "mitsuba"):
+        try:
+            yield f"{package} {package_version(package)}"
+        except PackageNotFoundError:
+            yield f"{package} is not installed"
+    yield "models:"
+    for name, folder in models.available().items():
+        yield f"  {name:16} {folder}"
+
+
+def model(name: str) -> Iterator[str]:
+    """What a model reads and how it was made."""
+    from pathfold import models
+
+    entry = models.manifest(name)
+    yield f"{entry['name']}: {entry.get('description', '')}"
+    yield f"  folder        {models.find(name)}"
+    yield f"  requires      {', '.join(entry['requires'])}"
+    yield f"  can use       {', '.join(entry.get('uses', ()))}"
+    yield f"  filters with  {reconstruction(entry['reconstruction'])}"
+    yield f"  precision     {entry.get('precision', '')}, tile overlap {entry['tile']['overlap']} px"
+    yield f"  licence       {entry.get('license', '')}"
+    for key, value in entry.get("training", {}).items():
+        yield f"  training.{key:12} {value if isinstance(value, str | int | float) else json.dumps(value)}"
+
+
+def reconstruction(block: dict[str, Any]) -> str:
+    branches = ", ".join(branch["name"] for branch in block["branches"])
+    return f"{block['operator']} {block['size']}x{block['size']} ({branches})"
+
+
+def picture(path: Path) -> Iterator[str]:
+    """The parts and layers of a file and the buffers that they would be."""
+    from pathfold import channels
+    from pathfold.channels import samples
+    from pathfold.images import ImageError, ImageFile
+
+    file = ImageFile(path)
+    for number, spec in enumerate(file.parts):
+        name = f" '{file.part_name(number)}'" if file.part_name(number) else ""
+        kinds = ", ".join(sorted({str(kind) for kind in spec.channelformats or (spec.format,)}))
+        yield f"part {number}{name}: {spec.width}x{spec.height}, {spec.nchannels} channels, {kinds}"
+        for layer in file.layers:
+            if layer.part == number and not layer.name.startswith("samples."):
+                yield f"  {layer.name or '(main)'}: {', '.join(layer.channels)}"
+        if samples.find(file) == number:
+            yield f"  {samples.count(file)} samples per pixel with path descriptors"
+    try:
+        for frame in channels.match(file):
+            yield from frame_lines(path, frame)
+            if absent := [buffer for buffer in channels.BUFFERS if buffer not in frame.sources]:
+                yield f"  not found: {', '.join(absent)}"
+    except ImageError as error:
+        yield str(error)
