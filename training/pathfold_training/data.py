@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import safe_open
 from torch import Tensor
 from torch.utils.data import Dataset, IterableDataset
 
 from .config import Data
 from .features import OPTIONAL
+from .store import Line, Store
 
 COLORED_LOGS = 24  # descriptor channels 0..23 are RGB triples
 SAMPLE_NAMES = tuple(f"samples.{n}" for n in ("radiance", "diffuse", "diffuse.albedo", "albedo", "normal", "depth"))
@@ -26,7 +25,7 @@ Inputs = dict[str, Tensor]
 
 @dataclass
 class Batch:
-    """Buffers B x C x H x W (samples N x C x H x W, `counts` per image), exposure and presence [B], references B x 3 x H x W."""
+    """Buffers B x C x H x W (samples N x C x H x W, `counts` per image), scalars [B], references B x 3 x H x W."""
 
     inputs: Inputs
     reference: Inputs
@@ -37,32 +36,28 @@ class Batch:
         return Batch(move, {k: v.to(device) for k, v in self.reference.items()}, self.counts)
 
 
-def read_index(folder: Path, split: str | None = None) -> list[dict]:
-    """The store's views, one dictionary each; of one split if given. Raises ValueError where there is none."""
-    path = folder / "index.jsonl"
-    if not path.is_file():
-        raise ValueError(
-            f"{folder} is no data set: it has no index.jsonl; make one with 'pathfold-train render --out {folder}'"
-        )
-    views = [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
-    views = [v for v in views if split is None or v["split"] == split]
-    if not views:
-        raise ValueError(f"{path} lists no view of split '{split}'")
-    return views
+def open_split(folder: Path, split: str) -> tuple[Store, list[Line]]:
+    """The data set and its views of one split. Raises ValueError where it has none."""
+    store = Store(folder)
+    lines = store.split(split)
+    if not lines:
+        raise ValueError(f"{folder} has no view of split '{split}'; render more with 'pathfold-train render'")
+    return store, lines
 
 
 class View:
-    """One stored view, memory-mapped; `crop` reads only what it needs."""
+    """One stored view; `crop` reads only what it needs."""
 
-    def __init__(self, folder: Path, entry: dict) -> None:
-        self.entry = entry
-        self.path = folder / "views" / f"{entry['id']}.safetensors"
-        with safe_open(self.path, "pt") as file:
-            self.samples, _, self.height, self.width = file.get_slice("samples.radiance").get_shape()
-            self.exposure = float((file.metadata() or {})["exposure"])
-            weight = file.get_tensor("importance").double().flatten()
-        self.cumulative = torch.cumsum(weight / weight.sum(), 0).numpy()
-        self.depth_scale = stored_depth_scale(self.path)
+    def __init__(self, store: Store, line: Line) -> None:
+        self.store, self.id = store, line["id"]
+        self.samples, self.height, self.width = line["spp"], line["height"], line["width"]
+        self.exposure = store.exposure(self.id)
+        whole = store.view(self.id, ["importance"])["importance"].astype(np.float64).ravel()
+        self.cumulative = np.cumsum(whole / whole.sum())
+        depth = store.crop(self.id, 0, 0, self.height, self.width, ["samples.depth"], slice(0, 1))["samples.depth"]
+        depth = depth[np.isfinite(depth) & (depth > 0)]
+        # the SDK's depth_scale: 1 / geometric mean of the depths seen
+        self.depth_scale = float(np.exp(-np.log(depth).mean())) if depth.size else 1.0
 
     def corner(self, size: int, rng: np.random.Generator) -> tuple[int, int]:
         """Top left of a crop whose centre is drawn by importance, moved inside the view."""
@@ -74,31 +69,19 @@ class View:
         )
 
     def crop(self, y: int, x: int, size: int, first: int, count: int, paths: bool) -> tuple[Inputs, Inputs]:
-        """Samples [first, first + count) and references of the window: tensors float32, C x h x w or S x C x h x w.
+        """Samples [first, first + count) and references of the window: tensors float32, S x C x h x w and C x h x w.
 
-        Path descriptors are read only where `paths` asks for them.
+        Path descriptors are read only where `paths` asks for them. Non-finite samples count as black.
         """
-        rows, columns = slice(y, y + size), slice(x, x + size)
-        samples, reference = {}, {}
-        with safe_open(self.path, "pt") as file:
-            for name in SAMPLE_NAMES + (PATH_NAMES if paths else ()):
-                part = file.get_slice(name)[first : first + count, :, rows, columns].float()
-                samples[name] = torch.nan_to_num(part, 0.0, 0.0, 0.0)
-            for name in REFERENCE_NAMES:
-                reference[name.removeprefix("reference.")] = file.get_slice(name)[:, rows, columns].float()
-        return samples, reference
-
-
-def stored_depth_scale(path: Path) -> float:
-    """exp(-mean ln depth) over positive depths of the first sample: the SDK's depth_scale (contract of `prepare`)."""
-    with safe_open(path, "pt") as file:
-        depth = file.get_slice("samples.depth")[0:1].float()
-    depth = depth[torch.isfinite(depth) & (depth > 0)]
-    return math.exp(-float(depth.log().mean())) if depth.numel() else 1.0
+        names = [*SAMPLE_NAMES, *(PATH_NAMES if paths else ()), *REFERENCE_NAMES]
+        arrays = self.store.crop(self.id, y, x, size, size, names, slice(first, first + count))
+        tensors = {name: torch.nan_to_num(torch.from_numpy(a).float(), 0.0, 0.0, 0.0) for name, a in arrays.items()}
+        reference = {name.removeprefix("reference."): tensors.pop(name) for name in REFERENCE_NAMES}
+        return tensors, reference
 
 
 def reduce_samples(samples: Inputs) -> Inputs:
-    """Per-pixel buffers of a block of samples: means, and the unbiased variance of the radiance means (0 for one sample)."""
+    """Per-pixel buffers of a block of samples: means, and the unbiased variance of the radiance means."""
     n = samples["samples.radiance"].shape[0]
     radiance, diffuse = samples["samples.radiance"], samples["samples.diffuse"]
     out = {}
@@ -121,7 +104,8 @@ class Crops(IterableDataset):
     def __init__(self, folder: Path, data: Data, seed: int, paths: bool, skip: int = 0) -> None:
         super().__init__()
         self.data, self.seed, self.paths, self.skip = data, seed, paths, skip
-        self.views = [View(folder, entry) for entry in read_index(folder, "train")]
+        store, lines = open_split(folder, "train")
+        self.views = [View(store, line) for line in lines]
 
     def __iter__(self) -> Iterator[Batch]:
         step = self.skip
@@ -146,7 +130,8 @@ class ValidationViews(Dataset):
     """Whole held-out views at a fixed number of samples, all inputs present, one Batch each."""
 
     def __init__(self, folder: Path, paths: bool, spp: int = 8) -> None:
-        self.views = [View(folder, entry) for entry in read_index(folder, "val")]
+        store, lines = open_split(folder, "val")
+        self.views = [View(store, line) for line in lines]
         self.paths, self.spp = paths, spp
 
     def __len__(self) -> int:

@@ -12,11 +12,12 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from .card import model_card
 from .config import Config
 from .features import DEMODULATION_EPSILON, DESCRIPTOR_CHANNELS, OPTIONAL
 from .fit import training_seconds
 from .networks import embedding
-from .networks.kpcn import BRANCHES, Branch, overlap
+from .networks.kpcn import BRANCHES, Branch, macs_per_pixel, overlap
 from .task import Denoising
 
 OPSET = 18
@@ -83,7 +84,7 @@ def write_graph(module: Graph, path: Path, output: str) -> None:
     names = module.branch.input_names()
     height, width, samples = 24, 40, 3  # any example: no size is baked in
     sizes = {"S": samples, "H": height, "W": width}
-    example = tuple(torch.rand([sizes.get(str(n), n) for n in input_shape(name)]) for name in names)
+    example = tuple(torch.rand([n if isinstance(n, int) else sizes[n] for n in input_shape(name)]) for name in names)
     axes = {n: {i: str(s) for i, s in enumerate(input_shape(n)) if isinstance(s, str)} for n in names}
     axes = {n: a for n, a in axes.items() if a} | {output: {2: "H", 3: "W"}}
     torch.onnx.export(
@@ -104,13 +105,14 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) 
     task, state = load_task(checkpoint)
     out.mkdir(parents=True, exist_ok=True)
     for name in BRANCHES:
-        branch = task.model.branches[name]
+        branch = task.model.branch(name)
         write_graph(Graph(branch), out / f"{name}.onnx", "logits")
         if standalone:
             size = task.config.network.kernel_size
             write_graph(Standalone(branch, size), out / f"{name}-standalone.onnx", "filtered")
     manifest = describe(task, state, out, record)
     (out / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
+    (out / "README.md").write_text(model_card(manifest))
     return out
 
 
@@ -122,7 +124,7 @@ def describe(task: Denoising, state: dict, out: Path, record: dict) -> dict:
         graphs[name] = {
             "file": f"{name}.onnx",
             "sha256": hashlib.sha256((out / f"{name}.onnx").read_bytes()).hexdigest(),
-            "inputs": {n: input_shape(n) for n in task.model.branches[name].input_names()},
+            "inputs": {n: input_shape(n) for n in task.model.branch(name).input_names()},
             "outputs": {"logits": [1, taps, "H", "W"]},
         }
     paths = ["samples.descriptor", "samples.density"] if network.embedding else []
@@ -149,5 +151,6 @@ def describe(task: Denoising, state: dict, out: Path, record: dict) -> dict:
         "tile": {"alignment": embedding.ALIGNMENT, "overlap": overlap(network)},
         "samples_per_pixel": {"min": task.config.data.spp_min, "max": task.config.data.spp_max},
         "precision": "fp32",
-        "training": {**record, "steps": state["global_step"], **training_seconds(state)},
+        "training": {**record, "steps": state["global_step"], "kmac_per_pixel": macs_per_pixel(network, 8) / 1e3}
+        | training_seconds(state),
     }

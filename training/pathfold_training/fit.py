@@ -16,7 +16,8 @@ from rich.console import Console
 from torch.utils.data import DataLoader
 
 from .config import Config
-from .data import Crops, ValidationViews, read_index
+from .data import Crops, ValidationViews
+from .store import read_index
 from .task import Denoising
 
 

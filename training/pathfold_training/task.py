@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import lightning
 import torch
+from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor
 
 from .config import Config
@@ -59,7 +60,8 @@ class Denoising(lightning.LightningModule):
         super().__init__()
         self.config = config
         self.save_hyperparameters({"config": config.model_dump()})
-        self.model = Kpcn(config.network).to(memory_format=torch.channels_last)
+        self.model = Kpcn(config.network)
+        self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.generator = torch.Generator()
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
@@ -113,7 +115,7 @@ class Denoising(lightning.LightningModule):
             image = image + filtered * target.remodulate
         return image / exposure
 
-    def configure_optimizers(self) -> dict:
+    def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
         options = self.config.optimiser
         adam = torch.optim.Adam(self.parameters(), lr=options.learning_rate)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
@@ -22,7 +24,7 @@ def convolution(inputs: int, outputs: int, kernel: int) -> nn.Module:
 def stack(*widths: int, kernel: int = 3) -> nn.Sequential:
     """Convolutions with ReLU after each."""
     layers: list[nn.Module] = []
-    for inputs, outputs in zip(widths, widths[1:], strict=False):
+    for inputs, outputs in pairwise(widths):
         layers += [convolution(inputs, outputs, kernel), nn.ReLU()]
     return nn.Sequential(*layers)
 

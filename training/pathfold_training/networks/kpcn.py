@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 
@@ -24,7 +26,7 @@ class Branch(nn.Module):
         extra = 1 + network.embedding + 1 if network.embedding else 0  # log q, the embedding's mean and variance
         widths = [BRANCH_CHANNELS + extra] + [network.width] * (network.layers - 1)
         layers: list[nn.Module] = []
-        for inputs, outputs in zip(widths, widths[1:], strict=False):
+        for inputs, outputs in pairwise(widths):
             layers += [nn.Conv2d(inputs, outputs, 5, padding=2), nn.ReLU()]
         self.trunk = nn.Sequential(*layers)
         last = network.last_kernel
@@ -75,6 +77,11 @@ class Kpcn(nn.Module):
         super().__init__()
         self.network = network
         self.branches = nn.ModuleDict({name: Branch(network, name == "diffuse") for name in BRANCHES})
+
+    def branch(self, name: str) -> Branch:
+        module = self.branches[name]
+        assert isinstance(module, Branch)
+        return module
 
 
 def overlap(network: Network) -> int:
