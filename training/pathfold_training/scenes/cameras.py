@@ -1,0 +1,157 @@
+"""Aiming cameras, and refusing views that show a wall, the void, darkness or glare."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+RAYS = 48  # a view is surveyed by RAYS x RAYS camera rays
+
+
+class RejectedError(Exception):
+    """No acceptable view was found; the text counts the reasons."""
+
+
+class Camera(NamedTuple):
+    """Pose and lens; fov in degrees across the image, `blur` the aperture radius as a share of the focus distance."""
+
+    origin: Vector
+    target: Vector
+    up: Vector
+    fov: float
+    blur: float = 0
+
+
+class Survey(NamedTuple):
+    """What camera rays hit: points [N, 3], distances [N] (infinite on a miss), ids of shapes [N]."""
+
+    points: Vector
+    distance: Vector
+    shape: NDArray[np.uint32]
+
+
+def aim(scene: mi.Scene, camera: Camera, size: tuple[int, int]) -> None:
+    """Turns the scene's first sensor into this camera with a film of width x height pixels."""
+    params = mi.traverse(scene.sensors()[0])
+    look = mi.ScalarTransform4f().look_at(*(list(map(float, v)) for v in (camera.origin, camera.target, camera.up)))
+    params["to_world"] = mi.AffineTransform4f(look.matrix)
+    params["x_fov"] = float(camera.fov)
+    if "aperture_radius" in params:
+        focus = float(np.linalg.norm(camera.target - camera.origin))
+        params["focus_distance"] = focus
+        params["aperture_radius"] = max(camera.blur, 1e-5) * focus
+    resize(scene, size)
+    params.update()
+
+
+def resize(scene: mi.Scene, size: tuple[int, int]) -> None:
+    """Gives the first sensor a film of width x height pixels, without crop; the horizontal field of view stays."""
+    params = mi.traverse(scene.sensors()[0])
+    params["film.size"] = list(size)
+    params["film.crop_size"] = list(size)
+    params["film.crop_offset"] = [0, 0]
+    params.update()
+
+
+def pose(scene: mi.Scene) -> tuple[Vector, Vector, Vector, float]:
+    """Origin, direction, up and fov of the first sensor."""
+    params = mi.traverse(scene.sensors()[0])
+    matrix = np.array(params["to_world"].matrix, dtype=np.float64).reshape(4, 4, -1)[:, :, 0]
+    fov = np.array(params["x_fov"]).ravel()[0]
+    return matrix[:3, 3], matrix[:3, 2], matrix[:3, 1], float(fov)
+
+
+def cast(scene: mi.Scene, origin: Vector, direction: Vector) -> Survey:
+    """Rays from one point (or N) along N directions."""
+    count = len(direction)
+    origin = np.broadcast_to(origin, (count, 3))
+    as_point, as_vector = (
+        kind(*a.T.astype(np.float32)) for kind, a in ((mi.Point3f, origin), (mi.Vector3f, direction))
+    )
+    hit = scene.ray_intersect_preliminary(mi.Ray3f(as_point, as_vector))
+    distance = np.where(np.array(hit.is_valid()), np.array(hit.t), np.inf)
+    shape = np.array(dr.reinterpret_array(mi.UInt32, hit.shape))
+    finite = np.where(np.isfinite(distance), distance, 0)
+    return Survey(origin + direction * finite[:, None], distance, shape)
+
+
+def survey(scene: mi.Scene) -> Survey:
+    """What the first sensor sees."""
+    y, x = np.meshgrid(*[(np.arange(RAYS) + 0.5) / RAYS] * 2, indexing="ij")
+    film = mi.Point2f(x.ravel().astype(np.float32), y.ravel().astype(np.float32))
+    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.0, film, mi.Point2f(0.5, 0.5))
+    return cast(scene, np.array(ray.o).T.astype(float).reshape(-1, 3), np.array(ray.d).T.astype(float))
+
+
+def geometry_fault(seen: Survey) -> str | None:
+    """Why the view is not worth rendering, from the distances and shapes alone."""
+    hit = np.isfinite(seen.distance)
+    if hit.mean() < 0.4:
+        return "sees nothing"
+    middle = np.median(seen.distance[hit])
+    if (seen.distance[hit] < 0.15 * middle).mean() > 0.2:
+        return "something before the lens"
+    share = np.sort(np.bincount(np.unique(seen.shape, return_inverse=True)[1]))[::-1] / len(hit)
+    if share[0] > 0.9 or (share > 0.004).sum() < 3:
+        return "one surface only"
+    spread = np.percentile(seen.distance[hit], [5, 95])
+    if spread[1] < 1.15 * spread[0]:
+        return "looks into a wall"
+    return None
+
+
+def picture_fault(color: NDArray[np.float32]) -> str | None:
+    """Why a rendered view [H, W, 3] is refused: black, blown out or flat; noise is averaged away in blocks of 8."""
+    luminance = np.nan_to_num(color.astype(np.float64) @ [0.2126, 0.7152, 0.0722])
+    height, width = (n // 8 * 8 for n in luminance.shape)
+    blocks = luminance[:height, :width].reshape(height // 8, 8, width // 8, 8).mean((1, 3))
+    if blocks.mean() < 1e-5 or (blocks < 0.03 * blocks.mean()).mean() > 0.4:
+        return "black"
+    exposed = 0.18 * blocks / np.exp(np.log(np.maximum(blocks, 1e-3 * blocks.mean())).mean())
+    tone = (exposed / (1 + exposed)) ** (1 / 2.2)
+    if (tone > 0.93).mean() > 0.4:
+        return "blown out"
+    if tone.std() < 0.04:
+        return "flat"
+    return None
+
+
+def find(
+    scene: mi.Scene,
+    propose: Callable[[Generator], Camera | None],
+    draft: Callable[[mi.Scene], NDArray[np.float32]],
+    rng: Generator,
+    size: tuple[int, int],
+    accept: Callable[[Camera], bool] = lambda _: True,
+    tries: int = 60,
+) -> Camera:
+    """Aims the scene at the first proposal without fault; `draft` renders a quick picture [H, W, 3].
+
+    Raises RejectedError with the reasons counted.
+    """
+    reasons: Counter[str] = Counter()
+    drafts = 0
+    for _ in range(tries):
+        camera = propose(rng)
+        if camera is None or not accept(camera):
+            reasons["no free space" if camera is None else "too like another view"] += 1
+            continue
+        aim(scene, camera, size)
+        fault = geometry_fault(survey(scene))
+        if fault is None:
+            drafts += 1
+            fault = picture_fault(draft(scene))
+        if fault is None:
+            return camera
+        reasons[fault] += 1
+        if drafts == 8:
+            break
+    raise RejectedError(", ".join(f"{n} x {reason}" for reason, n in reasons.most_common()))
