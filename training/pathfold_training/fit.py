@@ -47,6 +47,7 @@ def fit(
     seed: int = 0,
     threads: int = 0,
     validate_every: int = 500,
+    save_every: int = 250,
     start_from: Path | None = None,
 ) -> Path:
     """Train and return the last checkpoint, out/last.ckpt; resumes from it when it is there.
@@ -76,7 +77,7 @@ def fit(
         log_every_n_steps=25,
         logger=CSVLogger(out, name="log", version=0),
         callbacks=[
-            ModelCheckpoint(out, save_last=True, save_top_k=0, every_n_train_steps=min(250, config.optimiser.steps)),
+            ModelCheckpoint(out, save_last=True, save_top_k=0, every_n_train_steps=min(save_every, config.optimiser.steps)),
             TrainingSeconds(),
             RichProgressBar() if on_terminal else TQDMProgressBar(refresh_rate=50),
         ],

@@ -21,9 +21,9 @@ def error_scale(reference: Tensor) -> Tensor:
 
 
 def relative_huber(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
-    """Mean of the Huber function of the relative error: d^2 up to |d| = 1, then 2|d| - 1. Exposed radiance."""
+    """Mean of the Huber function of the relative error: d^2 up to |d| = 2, then 4|d| - 4. Exposed radiance."""
     d = ((output - reference) / scale).abs()
-    return torch.where(d < 1.0, d.square(), 2.0 * d - 1.0).mean()
+    return torch.where(d < 2.0, d.square(), 4.0 * d - 4.0).mean()
 
 
 def tone_map(radiance: Tensor) -> Tensor:

@@ -1,0 +1,170 @@
+"""Networks, operators and losses in torch."""
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from pathfold_training.config import Network, load_preset, preset_names
+from pathfold_training.features import OPTIONAL
+from pathfold_training.losses import manifold_loss, relative_huber, tone_map
+from pathfold_training.networks.embedding import PathEmbedding, pixel_embedding
+from pathfold_training.networks.kpcn import Branch, Kpcn, macs_per_pixel, overlap
+from pathfold_training.networks.reconstruct import gather
+
+SMALL = Network(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4)
+
+
+def frame(height: int, width: int, samples: int, seed: int = 0) -> dict[str, torch.Tensor]:
+    """Inputs of one branch graph, all present."""
+    g = torch.Generator().manual_seed(seed)
+    shape = (1, 3, height, width)
+    inputs = {n: torch.rand(shape, generator=g) for n in ("radiance", "variance", "albedo", "normal", "diffuse.albedo")}
+    inputs["depth"] = torch.rand((1, 1, height, width), generator=g)
+    inputs["samples.descriptor"] = torch.randn((samples, 36, height, width), generator=g)
+    inputs["samples.density"] = torch.randn((samples, 1, height, width), generator=g)
+    inputs["samples.valid"] = torch.ones((samples, 1, height, width))
+    inputs |= {f"{name}.present": torch.ones(1) for name in OPTIONAL}
+    return inputs | {"exposure": torch.ones(1), "depth_scale": torch.ones(1)}
+
+
+def naive_gather(logits: np.ndarray, radiance: np.ndarray, size: int) -> np.ndarray:
+    """The operator as its definition reads, pixel by pixel in float64."""
+    _, height, width = radiance.shape
+    out = np.zeros_like(radiance, dtype=np.float64)
+    for y, x in itertools.product(range(height), range(width)):
+        taps = []
+        for tap in range(size * size):
+            v, u = y + tap // size - size // 2, x + tap % size - size // 2
+            if 0 <= v < height and 0 <= u < width and np.isfinite(radiance[:, v, u]).all():
+                taps.append((float(logits[tap, y, x]), radiance[:, v, u].astype(np.float64)))
+        if taps:
+            weights = np.exp(np.array([t[0] for t in taps]) - max(t[0] for t in taps))
+            out[:, y, x] = (weights[:, None] * np.stack([t[1] for t in taps])).sum(0) / weights.sum()
+    return out
+
+
+@pytest.mark.parametrize(("height", "width", "size"), [(7, 9, 5), (1, 1, 3), (2, 11, 5), (6, 5, 21)])
+def test_gather_is_its_definition(height: int, width: int, size: int) -> None:
+    g = torch.Generator().manual_seed(height)
+    logits = 4 * torch.randn((1, size * size, height, width), generator=g)
+    radiance = torch.rand((1, 3, height, width), generator=g) * 100
+    if height > 5:
+        radiance[0, :, 2, 3] = float("nan")
+        radiance[0, 1, 4, 4] = float("inf")
+    expected = naive_gather(logits[0].numpy(), radiance[0].numpy(), size)
+    np.testing.assert_allclose(gather(logits, radiance, size)[0].numpy(), expected, rtol=2e-5, atol=1e-6)
+
+
+def test_gather_on_a_lattice_is_a_subset_of_the_whole() -> None:
+    logits, radiance = torch.randn(2, 25, 12, 15), torch.rand(2, 3, 12, 15)
+    whole = gather(logits, radiance, 5)
+    part = gather(logits[:, :, 1::3, 2::3], radiance, 5, lattice=3, offset=(1, 2))
+    torch.testing.assert_close(part, whole[:, :, 1::3, 2::3])
+
+
+def test_gather_keeps_a_constant_and_stays_within_its_window() -> None:
+    logits = 1e4 * torch.randn(1, 25, 8, 8)
+    torch.testing.assert_close(gather(logits, torch.full((1, 3, 8, 8), 7.5), 5), torch.full((1, 3, 8, 8), 7.5))
+    radiance = torch.rand(1, 3, 8, 8) ** 8 * 1e6
+    high = torch.nn.functional.max_pool2d(radiance, 5, 1, 2)
+    low = -torch.nn.functional.max_pool2d(-radiance, 5, 1, 2)
+    out = gather(logits, radiance, 5)
+    assert ((out <= high * (1 + 1e-6)) & (out >= low * (1 - 1e-6))).all()
+
+
+def test_embedding_ignores_the_order_of_samples_and_invalid_ones() -> None:
+    torch.manual_seed(0)
+    network = PathEmbedding(3, 4)
+    features, valid = torch.randn(4, 36, 9, 7), torch.ones(4, 1, 9, 7)
+    p = pixel_embedding(network(features, valid), valid)
+    order = torch.tensor([2, 0, 3, 1])
+    torch.testing.assert_close(pixel_embedding(network(features[order], valid), valid), p, rtol=1e-4, atol=1e-5)
+    more = torch.cat([features, torch.full((1, 36, 9, 7), 5.0)])
+    marked = torch.cat([valid, torch.zeros(1, 1, 9, 7)])
+    torch.testing.assert_close(pixel_embedding(network(more, marked), marked), p, rtol=1e-4, atol=1e-5)
+
+
+def test_images_of_unlike_sample_counts_in_a_batch_do_not_mix() -> None:
+    torch.manual_seed(0)
+    branch = Branch(SMALL, demodulate=True)
+    frames = [frame(12, 8, samples, seed=samples) for samples in (2, 5)]
+    batch = {n: torch.cat([f[n] for f in frames]) for n in frames[0]}
+    together, _ = branch(batch, counts=[2, 5])
+    alone = torch.cat([branch(f)[0] for f in frames])
+    torch.testing.assert_close(together, alone, rtol=1e-4, atol=1e-5)
+
+
+def test_exposure_and_radiance_cancel() -> None:
+    torch.manual_seed(0)
+    branch, inputs = Branch(SMALL, demodulate=False), frame(8, 8, 3)
+    scaled = inputs | {"radiance": inputs["radiance"] * 64, "variance": inputs["variance"] * 64**2}
+    scaled["exposure"] = inputs["exposure"] / 64
+    shifted = inputs["samples.descriptor"].clone()
+    shifted[:, :6] += np.log(64.0)
+    scaled["samples.descriptor"] = shifted
+    torch.testing.assert_close(branch(scaled)[0], branch(inputs)[0], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("embedding", [0, 3])
+def test_nothing_beyond_the_stated_overlap_matters(embedding: int) -> None:
+    torch.manual_seed(0)
+    network = SMALL.model_copy(update={"embedding": embedding})
+    branch = Branch(network, demodulate=False).double()
+    reach = overlap(network) - network.kernel_size // 2  # the rest of the overlap is the gather's own
+    column = (reach // 4 + 2) * 4
+    inputs = {n: v.double() for n, v in frame(8, column + 8, 2).items()}
+    changed = {n: v.clone() for n, v in inputs.items()}
+    for name, value in changed.items():
+        if value.dim() == 4 and name != "samples.valid":
+            value[..., : column - reach] += 1.0
+    difference = (branch(changed)[0] - branch(inputs)[0]).abs()
+    assert difference[..., column:].max() == 0.0
+    assert difference[..., : column - reach].max() > 0.0
+
+
+@pytest.mark.parametrize("name", ["kpcn-vanilla", "kpcn-path", "kpcn-manifold"])
+def test_compact_presets_keep_the_budget(name: str) -> None:
+    assert macs_per_pixel(load_preset(name).network, spp=8) <= 0.8e6
+
+
+def test_full_preset_has_the_papers_size() -> None:
+    network = load_preset("kpcn-manifold-full").network
+    parameters = sum(p.numel() for b in Kpcn(network).branches.values() for p in b.trunk.parameters())
+    parameters += sum(p.numel() for b in Kpcn(network).branches.values() for p in b.head.parameters())
+    assert 5.5e6 < parameters < 6.2e6  # paper notes 4.1: 5.88 M for R
+
+
+def test_presets_are_valid_and_unknown_keys_are_not(tmp_path) -> None:
+    assert {"kpcn-vanilla", "kpcn-path", "kpcn-manifold", "kpcn-manifold-full"} <= set(preset_names())
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("name: x\ndescription: y\nnetwork: {widht: 3}\n")
+    with pytest.raises(ValueError, match="widht"):
+        load_preset(str(bad))
+    with pytest.raises(ValueError, match="kpcn-vanilla"):
+        load_preset("kpcn-unknown")
+
+
+def test_manifold_loss_is_zero_for_an_isometry_of_the_labels_and_not_otherwise() -> None:
+    label = tone_map(torch.rand(2, 3, 6, 6))
+    same = torch.cat([label[0].expand(3, 3, 6, 6), label[1].expand(2, 3, 6, 6)])
+    turned = torch.einsum("ij,njhw->nihw", torch.linalg.qr(torch.randn(3, 3))[0], same) + 0.3
+    g = torch.Generator().manual_seed(1)
+    assert float(manifold_loss(turned, label, [3, 2], 500, g)) < 1e-9
+    assert float(manifold_loss(2 * turned, label, [3, 2], 500, g)) > 1e-4
+
+
+def test_manifold_loss_of_one_known_pair() -> None:
+    # two pixels of one image, one sample each: D_f = 4, D_I = 0.25, or both 0 where a pixel meets itself
+    embedding = torch.tensor([[[[0.0, 2.0]]]])
+    label = torch.tensor([[[[0.0, 0.5]], [[0.0, 0.0]], [[0.0, 0.0]]]])
+    term = (4 - 0.25) ** 2
+    loss = manifold_loss(embedding, label, [1], 4000, torch.Generator().manual_seed(0))
+    assert float(loss) == pytest.approx(term, rel=0.05)  # local and non-local each hit unlike pixels half the time
+
+
+def test_relative_huber() -> None:
+    scale = torch.full((1, 3, 1, 2), 2.0)
+    reference = torch.zeros(1, 3, 1, 2)
+    output = torch.tensor([1.0, 6.0]).expand(1, 3, 1, 2)
+    assert float(relative_huber(output, reference, scale)) == pytest.approx((0.25 + 8.0) / 2)

@@ -1,0 +1,136 @@
+"""Training end to end on a tiny data set: exact resume, warm start, the batch stream."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from pathfold_training.config import Config, Data, Loss, Network, Optimiser
+from pathfold_training.data import Crops, augment, frame_inputs, reduce_samples
+from pathfold_training.fit import fit, start_record
+from training_data import write_data_set
+
+TINY = Config(
+    name="tiny",
+    description="a network for tests",
+    network=Network(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4),
+    loss=Loss(manifold=0.0125, manifold_pairs=256),
+    data=Data(crop=24, batch=2, spp_max=4),
+    optimiser=Optimiser(steps=4, precision="fp32", warmup=1),
+)
+
+
+def with_steps(config: Config, steps: int) -> Config:
+    return config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"steps": steps})})
+
+
+def weights(checkpoint: Path) -> dict[str, torch.Tensor]:
+    return torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
+
+
+@pytest.fixture(scope="module")
+def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_data_set(tmp_path_factory.mktemp("data") / "set")
+
+
+def test_both_networks_learn(data_set: Path, tmp_path: Path) -> None:
+    before = weights(fit(with_steps(TINY, 1), data_set, tmp_path / "one", validate_every=1000))
+    after = weights(fit(with_steps(TINY, 3), data_set, tmp_path / "three", validate_every=1000))
+    moved = [name for name in before if not torch.equal(before[name], after[name])]
+    assert any("trunk" in name for name in moved)
+    assert any("paths" in name for name in moved)  # F learns from the same loss
+
+
+def test_resumed_run_equals_the_whole_one(data_set: Path, tmp_path: Path) -> None:
+    whole = weights(fit(TINY, data_set, tmp_path / "whole", seed=3, validate_every=1000))
+
+    class InterruptError(Exception):
+        pass
+
+    original = Crops.draw
+    calls = 0
+
+    def stops(self: Crops, rng: np.random.Generator) -> object:
+        nonlocal calls
+        calls += 1
+        if calls > 2 * TINY.data.batch + 1:
+            raise InterruptError
+        return original(self, rng)
+
+    Crops.draw = stops  # type: ignore[method-assign,assignment]
+    try:
+        with pytest.raises(InterruptError):
+            fit(TINY, data_set, tmp_path / "parts", seed=3, validate_every=1000, save_every=2)
+    finally:
+        Crops.draw = original  # type: ignore[method-assign]
+    resumed = weights(fit(TINY, data_set, tmp_path / "parts", seed=3, validate_every=1000))
+    for name, value in whole.items():
+        torch.testing.assert_close(resumed[name], value, rtol=0, atol=0, msg=name)
+
+
+def test_start_from_copies_the_shared_weights(data_set: Path, tmp_path: Path) -> None:
+    vanilla = TINY.model_copy(update={"name": "base", "network": TINY.network.model_copy(update={"embedding": 0})})
+    base = fit(with_steps(vanilla, 1), data_set, tmp_path / "base", validate_every=1000)
+    frozen = TINY.model_copy(update={"optimiser": TINY.optimiser.model_copy(update={"learning_rate": 0.0, "steps": 1})})
+    begun = weights(fit(frozen, data_set, tmp_path / "begun", validate_every=1000, start_from=base))
+    shared = weights(base)
+    first = "model.branches.diffuse.trunk.0.weight"
+    extra = begun[first].shape[1] - shared[first].shape[1]
+    assert extra == 1 + TINY.network.embedding + 1
+    torch.testing.assert_close(begun[first][:, :-extra], shared[first])
+    assert begun[first][:, -extra:].abs().max() == 0.0
+    record = start_record(base)
+    assert record is not None
+    assert record["preset"] == "base"
+    assert record["steps"] == 1
+
+
+def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path) -> None:
+    fit(with_steps(TINY, 1), data_set, tmp_path / "run", validate_every=1000)
+    with pytest.raises(ValueError, match="another preset"):
+        fit(with_steps(TINY, 2), data_set, tmp_path / "run")
+    with pytest.raises(FileNotFoundError, match="pathfold-train render"):
+        fit(TINY, tmp_path / "nothing", tmp_path / "other")
+
+
+def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:
+    stream = Crops(data_set, TINY.data, seed=5, paths=True)
+    first = [batch for batch, _ in zip(stream, range(3), strict=False)]
+    again = next(iter(Crops(data_set, TINY.data, seed=5, paths=True, skip=2)))
+    assert again.counts == first[2].counts
+    for name, value in again.inputs.items():
+        torch.testing.assert_close(value, first[2].inputs[name], rtol=0, atol=0)
+    other = next(iter(Crops(data_set, TINY.data, seed=6, paths=True)))
+    assert not torch.equal(other.reference["color"], first[0].reference["color"])
+
+
+def test_variance_is_of_the_pixel_mean() -> None:
+    rng = np.random.default_rng(0)
+    blocks = torch.from_numpy(rng.exponential(2.0, (4000, 8, 3, 1, 1))).float()
+    guides = {f"samples.{n}": torch.zeros(8, 3, 1, 1) for n in ("diffuse.albedo", "albedo", "normal", "depth")}
+    frames = []
+    for block in blocks:
+        frames.append(reduce_samples(guides | {"samples.radiance": block, "samples.diffuse": block * 0.25}))
+    means = torch.stack([f["color"] for f in frames])
+    estimate = torch.stack([f["variance"] for f in frames]).mean()
+    assert float(estimate) == pytest.approx(float(means.var()), rel=0.05)
+
+
+def test_augmentation_turns_everything_alike() -> None:
+    samples = {"samples.radiance": torch.rand(2, 3, 6, 6), "samples.normal": torch.rand(2, 3, 6, 6)}
+    samples["samples.descriptor"] = torch.rand(2, 36, 6, 6)
+    samples["samples.descriptor"][:, :3] = samples["samples.radiance"]  # a triple that must stay aligned
+    reference = {"color": samples["samples.radiance"].mean(0)}
+    length = samples["samples.normal"].square().sum(1).sum()
+    for seed in range(8):
+        augment(samples, reference, np.random.default_rng(seed), normal_turn=0.5)
+        torch.testing.assert_close(samples["samples.radiance"].mean(0), reference["color"])
+        torch.testing.assert_close(samples["samples.descriptor"][:, :3], samples["samples.radiance"])
+    torch.testing.assert_close(samples["samples.normal"].square().sum(1).sum(), length)
+
+
+def test_one_sample_has_no_variance() -> None:
+    shapes = {"radiance": 3, "diffuse": 3, "diffuse.albedo": 3, "albedo": 3, "normal": 3, "depth": 1}
+    inputs = frame_inputs({f"samples.{n}": torch.rand(1, c, 4, 4) for n, c in shapes.items()}, 1.0, 1.0)
+    assert float(inputs["variance.present"]) == 0.0
+    assert inputs["variance"].abs().max() == 0.0

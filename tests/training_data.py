@@ -1,0 +1,45 @@
+"""A tiny data set for the tests of training: smooth colours, exponential noise, made with a seed."""
+
+from pathlib import Path
+
+import numpy as np
+from pathfold_training.store import append_line, write_view
+
+SAMPLES, SIDE = 8, 40
+
+
+def write_data_set(folder: Path, views: int = 3) -> Path:
+    """`views` views of 40 x 40 pixels at 8 spp, the last one held out."""
+    folder.mkdir(parents=True)
+    for number in range(views):
+        split = "val" if number == views - 1 else "train"
+        line = {"id": f"view-{number}", "scene": "smooth", "kind": "procedural", "split": split, "seed": number}
+        line |= {"licence": "CC0-1.0", "width": SIDE, "height": SIDE, "spp": SAMPLES, "reference_spp": 1024}
+        line |= {"max_depth": 6, "reference_rell2": 0.0}
+        append_line(folder, write_view(folder, line, view_tensors(number), {"exposure": "0.5"}))
+    return folder
+
+
+def view_tensors(seed: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:SIDE, 0:SIDE] / SIDE
+    clean = np.stack([0.2 + x, 0.3 + y, 0.5 + x * y]).astype(np.float32)
+    radiance = (clean * rng.exponential(1.0, (SAMPLES, 3, SIDE, SIDE))).astype(np.float32)
+    half = {"samples.diffuse.albedo": np.full((SAMPLES, 3, SIDE, SIDE), 0.5), "samples.albedo": radiance * 0 + clean}
+    half["samples.normal"] = rng.uniform(-1, 1, (SAMPLES, 3, SIDE, SIDE))
+    logs = np.log(np.maximum(radiance, 1e-30))
+    descriptor = [
+        logs,
+        logs,
+        rng.normal(0, 2, (SAMPLES, 18, SIDE, SIDE)),
+        rng.choice([0, 5, 9, 17], (SAMPLES, 6, SIDE, SIDE)),
+    ]
+    half["samples.descriptor"] = np.concatenate([*descriptor, rng.uniform(0, 1, (SAMPLES, 6, SIDE, SIDE))], 1)
+    full = {"samples.radiance": radiance, "samples.diffuse": radiance * 0.6}
+    full["samples.depth"] = rng.uniform(1, 5, (SAMPLES, 1, SIDE, SIDE))
+    full["samples.density"] = rng.normal(0, 5, (SAMPLES, 1, SIDE, SIDE))
+    full |= {"reference.color": clean, "reference.diffuse": clean * 0.6, "reference.half_a.color": clean}
+    full |= {"reference.half_b.color": clean, "reference.diffuse.albedo": np.full((3, SIDE, SIDE), 0.5)}
+    full["importance"] = np.ones((SIDE, SIDE))
+    tensors = {name: value.astype(np.float16) for name, value in half.items()}
+    return tensors | {name: value.astype(np.float32) for name, value in full.items()}
