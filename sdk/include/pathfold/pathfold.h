@@ -1,0 +1,202 @@
+/* pathfold: a denoiser for Monte Carlo renderings. Plain C99 interface; pathfold.hpp wraps it for C++.
+ *
+ * A call that can fail returns a pathfold_status; the sentence that explains the failure is
+ * pathfold_last_error(), kept per thread. Where a call fails, nothing that it would have returned is set.
+ * Strings are UTF-8 and end in a zero byte. */
+#ifndef PATHFOLD_H
+#define PATHFOLD_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#if defined(_WIN32)
+#if defined(PATHFOLD_BUILD)
+#define PATHFOLD_API __declspec(dllexport)
+#else
+#define PATHFOLD_API __declspec(dllimport)
+#endif
+#define PATHFOLD_MUST_USE
+#else
+#define PATHFOLD_API __attribute__((visibility("default")))
+#define PATHFOLD_MUST_USE __attribute__((warn_unused_result))
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- Status ------------------------------------------------------------------------------------------- */
+
+typedef enum pathfold_status {
+    PATHFOLD_OK = 0,
+    PATHFOLD_INVALID_ARGUMENT = 1, /* an argument, a buffer or a setting is not what it must be */
+    PATHFOLD_NOT_FOUND = 2,        /* no such model, file or library */
+    PATHFOLD_INVALID_MODEL = 3,    /* a model folder is damaged, or says of itself what is not so */
+    PATHFOLD_ENGINE = 4,           /* the inference library reported a failure */
+    PATHFOLD_UNSUPPORTED = 5,      /* asked for what this version or this inference library does not offer */
+    PATHFOLD_OUT_OF_MEMORY = 6,
+    PATHFOLD_CANCELLED = 7, /* the progress callback returned 0 */
+    PATHFOLD_INTERNAL = 8   /* a defect in pathfold */
+} pathfold_status;
+
+/* The name of a status in lower case with dashes, "invalid-argument" for example. Never null. */
+PATHFOLD_API const char *pathfold_status_name(pathfold_status status);
+
+/* What the last failed call of this thread complains of. Never null; valid until the thread's next call. */
+PATHFOLD_API const char *pathfold_last_error(void);
+
+/* The version of this library, "0.1.0" for example. */
+PATHFOLD_API const char *pathfold_version(void);
+
+/* ---- Inference library -------------------------------------------------------------------------------- */
+
+/* Names the onnxruntime shared library to load. Without it PATHFOLD_ONNXRUNTIME and then the system's are
+ * tried, when the first model is loaded. PATHFOLD_INVALID_ARGUMENT: another one is loaded already.
+ * PATHFOLD_NOT_FOUND: there is no such file. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_set_onnxruntime(const char *path);
+
+/* ---- Model -------------------------------------------------------------------------------------------- */
+
+/* A model folder, checked and loaded. Immutable: any number of denoisers and threads may share one. */
+typedef struct pathfold_model pathfold_model;
+
+/* Finds the folder of a model by name: an existing folder, else one in PATHFOLD_MODEL_PATH, in `folders`
+ * (`folder_count` of them, may be null and 0), or in the models installed with this library. `path` is valid
+ * until this thread's next call. PATHFOLD_NOT_FOUND: there is none; the message lists what there is. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_find_model(const char *name,
+                                                                   const char *const *folders,
+                                                                   size_t folder_count, const char **path);
+
+/* Loads a model by name or folder. `provider` is the execution provider, "cpu" (also for null), "cuda",
+ * "openvino", ...; `threads` is the number of threads to use, 0 for all.
+ * PATHFOLD_NOT_FOUND: no such model, or no onnxruntime. PATHFOLD_INVALID_MODEL: it fails a check.
+ * PATHFOLD_UNSUPPORTED: the provider is not offered, or the model needs a newer pathfold. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_model_load(const char *name, const char *provider,
+                                                                   int threads, pathfold_model **model);
+
+/* Gives a model back; denoisers made from it keep what they need. Null is allowed. */
+PATHFOLD_API void pathfold_model_release(pathfold_model *model);
+
+/* The text of the model's manifest.json; lives as long as the model. */
+PATHFOLD_API const char *pathfold_model_manifest(const pathfold_model *model);
+
+/* The model's folder; lives as long as the model. */
+PATHFOLD_API const char *pathfold_model_folder(const pathfold_model *model);
+
+/* ---- Images ------------------------------------------------------------------------------------------- */
+
+typedef enum pathfold_format { PATHFOLD_FLOAT32 = 0, PATHFOLD_FLOAT16 = 1 } pathfold_format;
+
+/* A view of the caller's pixels, never copied. Strides are in bytes, may be negative, and are taken as they
+ * stand. Pixel images have samples = 1. */
+typedef struct pathfold_image {
+    void *data; /* first value of the first pixel; inputs are only read */
+    pathfold_format format;
+    int64_t samples, height, width, channels;
+    int64_t sample_stride, row_stride, pixel_stride, channel_stride;
+} pathfold_image;
+
+/* A view of densely packed pixels: samples x height x width x channels. */
+static inline pathfold_image pathfold_packed(void *data, pathfold_format format, int64_t samples,
+                                             int64_t height, int64_t width, int64_t channels) {
+    int64_t size = format == PATHFOLD_FLOAT16 ? 2 : 4;
+    pathfold_image image;
+    image.data = data;
+    image.format = format;
+    image.samples = samples;
+    image.height = height;
+    image.width = width;
+    image.channels = channels;
+    image.channel_stride = size;
+    image.pixel_stride = size * channels;
+    image.row_stride = size * channels * width;
+    image.sample_stride = size * channels * width * height;
+    return image;
+}
+
+/* ---- Denoiser ----------------------------------------------------------------------------------------- */
+
+/* One model applied to frames; keeps its working memory between frames. One thread at a time. */
+typedef struct pathfold_denoiser pathfold_denoiser;
+
+/* Called on the thread that runs, with the part done in [0, 1]; returning 0 cancels. */
+typedef int (*pathfold_progress)(void *user, float done);
+
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_create(const pathfold_model *model,
+                                                                        pathfold_denoiser **denoiser);
+
+/* Null is allowed. */
+PATHFOLD_API void pathfold_denoiser_release(pathfold_denoiser *denoiser);
+
+/* Sets a buffer of the frame: "color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth",
+ * "alpha", "variance", "diffuse.variance", "specular.variance", "samples.descriptor", "samples.density",
+ * "samples.valid". The pixels must live until the run is over. A null image takes the buffer away.
+ * PATHFOLD_INVALID_ARGUMENT: no such name, wrong channels, no pixels. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_input(pathfold_denoiser *denoiser,
+                                                                           const char *name,
+                                                                           const pathfold_image *image);
+
+/* Sets where a result is written: "color", "diffuse", "specular" (where the frame is split) or "alpha".
+ * It may be the very memory of the input of that name. A null image takes it away. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_output(pathfold_denoiser *denoiser,
+                                                                            const char *name,
+                                                                            const pathfold_image *image);
+
+/* Adds a layer (light group, AOV of radiance), filtered with the beauty's kernels so that layers still add
+ * up to it. `part` is "color", or "diffuse" and "specular" in two calls; layers keep their sign. A single
+ * layer that comes as "color" makes the whole frame use the one kernel that needs no split. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_layer(pathfold_denoiser *denoiser,
+                                                                           const char *layer,
+                                                                           const char *part,
+                                                                           const pathfold_image *image);
+
+/* Sets where the filtered layer is written; as many channels as the layer has. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_layer_output(
+    pathfold_denoiser *denoiser, const char *layer, const pathfold_image *image);
+
+/* 1 where the inputs and layers that are set make a split frame: each branch of the model gets radiance of
+ * its own, and the outputs "diffuse" and "specular" can be had. Else 0. */
+PATHFOLD_API int pathfold_denoiser_is_split(const pathfold_denoiser *denoiser);
+
+/* Takes all inputs, outputs and layers away; settings stay. */
+PATHFOLD_API void pathfold_denoiser_clear(pathfold_denoiser *denoiser);
+
+/* Sets a number by name:
+ *   "exposure"   what radiance is multiplied with before a network sees it; 0 (default): from the image
+ *   "memory_mb"  bound on the working memory of a tile; 0 (default): chosen
+ *   "tile"       edge of a square tile in pixels, a multiple of the model's alignment; 0 (default): chosen
+ *   "leave_out"  1 (default): leave out what the frame does not need; 0: compute everything
+ * PATHFOLD_INVALID_ARGUMENT: no such name, or out of range. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_number(pathfold_denoiser *denoiser,
+                                                                            const char *name, double value);
+
+/* Sets the progress callback; null takes it away. */
+PATHFOLD_API void pathfold_denoiser_set_progress(pathfold_denoiser *denoiser, pathfold_progress progress,
+                                                 void *user);
+
+/* Denoises the frame into the outputs that were set. Outputs are finite; all but layers are >= 0.
+ * PATHFOLD_INVALID_ARGUMENT: a buffer that the model requires is missing, or sizes differ.
+ * PATHFOLD_CANCELLED: the callback said so; outputs are then partly written. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_run(pathfold_denoiser *denoiser);
+
+/* The report of the last run as JSON: what was used, what was left out and why, milliseconds per stage.
+ * "{}" before the first run. Valid until the next run. */
+PATHFOLD_API const char *pathfold_denoiser_report(const pathfold_denoiser *denoiser);
+
+/* ---- Pieces, for tools and tests ---------------------------------------------------------------------- */
+
+/* The exposure that a run would choose for `color` (3 channels), by the rule of the shipped models. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_auto_exposure(const pathfold_image *color,
+                                                                      float *exposure);
+
+/* Applies size x size kernels (odd, at most 63): softmax of `logits` over the taps inside the image whose
+ * value is finite. `logits` is packed float32 [size * size][height][width], taps row by row, correlation.
+ * `result` has the size and channels of `image`. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_gather(const pathfold_image *image,
+                                                               const float *logits, int size,
+                                                               const pathfold_image *result);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

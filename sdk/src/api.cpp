@@ -1,0 +1,282 @@
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <new>
+#include <string>
+
+#include "denoiser.h"
+#include "engine.h"
+#include "error.h"
+#include "model.h"
+#include "pathfold/pathfold.h"
+
+using namespace pathfold::core;
+
+struct pathfold_model {
+    std::shared_ptr<const Model> model;
+};
+
+struct pathfold_denoiser {
+    Denoiser denoiser;
+    Frame frame;
+    Settings settings;
+    std::string report = "{}";
+};
+
+namespace {
+
+thread_local std::string last_error;
+thread_local std::string found_path;
+
+pathfold_status complain(pathfold_status status, const char *message) noexcept {
+    try {
+        last_error = message;
+    } catch (...) {
+        last_error.clear();
+    }
+    return status;
+}
+
+/// Runs an entry point's body; no exception leaves it.
+template <typename Body>
+pathfold_status guarded(const Body &body) noexcept {
+    try {
+        body();
+        return PATHFOLD_OK;
+    } catch (const Error &error) {
+        return complain(error.status(), error.what());
+    } catch (const std::bad_alloc &) {
+        return complain(PATHFOLD_OUT_OF_MEMORY, "out of memory; set memory_mb, or denoise a smaller image");
+    } catch (const std::exception &error) {
+        return complain(PATHFOLD_INTERNAL, error.what());
+    } catch (...) {
+        return complain(PATHFOLD_INTERNAL, "an unknown exception");
+    }
+}
+
+template <typename Pointer>
+Pointer &given(Pointer *argument, const char *name) {
+    if (argument == nullptr)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, " is a null pointer");
+    return *argument;
+}
+
+std::string given_text(const char *argument, const char *name) {
+    given(argument, name);
+    return argument;
+}
+
+/// A number that must be whole, from 0 to `most`.
+int64_t whole_number(const std::string &name, double value, int64_t most) {
+    if (!(value >= 0 && value <= double(most) && value == std::floor(value)))
+        fail(PATHFOLD_INVALID_ARGUMENT, name, " is ", value, "; it must be an integer from 0 to ", most);
+    return int64_t(value);
+}
+
+void set_number(Settings &settings, const std::string &name, double value) {
+    if (name == "exposure") {
+        if (!(value >= 0 && value <= std::numeric_limits<float>::max()))
+            fail(PATHFOLD_INVALID_ARGUMENT, "exposure is ", value,
+                 "; it must be finite and > 0, or 0 to take it from the image");
+        settings.exposure = float(value);
+    } else if (name == "memory_mb") {
+        settings.memory_mb = whole_number(name, value, 1 << 20);
+    } else if (name == "tile") {
+        settings.tile = int(whole_number(name, value, 1 << 16));
+    } else if (name == "leave_out") {
+        settings.leave_out = whole_number(name, value, 1) != 0;
+    } else {
+        fail(PATHFOLD_INVALID_ARGUMENT, "there is no setting named \"", name,
+             "\"; settings are: exposure, memory_mb, tile, leave_out");
+    }
+}
+
+void gather_image(const ImageView &view, const float *logits, int radius, const ImageView &result) {
+    const int height = view.height(), width = view.width(), channels = view.channels();
+    const size_t pixels = size_t(height) * width, taps = size_t(2 * radius + 1) * (2 * radius + 1);
+    std::vector<uint8_t> valid(pixels, 1);
+    Threads threads;
+    Counts counts;
+    const Planes planes = load_radiance(view, true, valid, threads, counts);
+    Neighbourhood source;
+    source.reset(channels, height, width, radius);
+    for (int y = 0; y < height; ++y) {
+        for (int c = 0; c < channels; ++c)
+            std::copy_n(planes.row(c, y), width, source.row(c, y) + radius);
+        std::copy_n(valid.data() + size_t(y) * width, width, source.valid_row(y) + radius);
+    }
+    source.finish();
+    std::vector<float> copy(logits, logits + taps * pixels), gathered(pixels * channels);
+    copy.resize(copy.size() + gather_slack);
+    gather(threads, {copy.data(), pixels, size_t(width)}, source, gathered.data());
+    std::vector<float> row(size_t(width) * channels);
+    for (int y = 0; y < height; ++y) {
+        for (int c = 0; c < channels; ++c)
+            for (int x = 0; x < width; ++x)
+                row[size_t(x) * channels + c] = gathered[size_t(c) * pixels + size_t(y) * width + x];
+        result.store_row(y, 0, width, row.data());
+    }
+}
+
+} // namespace
+
+const char *pathfold_status_name(pathfold_status status) {
+    switch (status) {
+    case PATHFOLD_OK:
+        return "ok";
+    case PATHFOLD_INVALID_ARGUMENT:
+        return "invalid-argument";
+    case PATHFOLD_NOT_FOUND:
+        return "not-found";
+    case PATHFOLD_INVALID_MODEL:
+        return "invalid-model";
+    case PATHFOLD_ENGINE:
+        return "engine";
+    case PATHFOLD_UNSUPPORTED:
+        return "unsupported";
+    case PATHFOLD_OUT_OF_MEMORY:
+        return "out-of-memory";
+    case PATHFOLD_CANCELLED:
+        return "cancelled";
+    case PATHFOLD_INTERNAL:
+        break;
+    }
+    return "internal";
+}
+
+const char *pathfold_last_error(void) { return last_error.c_str(); }
+
+const char *pathfold_version(void) { return PATHFOLD_VERSION; }
+
+pathfold_status pathfold_set_onnxruntime(const char *path) {
+    return guarded([&] { set_onnxruntime(given_text(path, "path")); });
+}
+
+pathfold_status pathfold_find_model(const char *name, const char *const *folders, size_t folder_count,
+                                    const char **path) {
+    return guarded([&] {
+        given(path, "path");
+        std::vector<std::string> places;
+        for (size_t i = 0; i < folder_count; ++i)
+            places.push_back(given_text((&given(folders, "folders"))[i], "an entry of folders"));
+        found_path = find_model(given_text(name, "name"), places);
+        *path = found_path.c_str();
+    });
+}
+
+pathfold_status pathfold_model_load(const char *name, const char *provider, int threads,
+                                    pathfold_model **model) {
+    return guarded([&] {
+        given(model, "model");
+        if (threads < 0 || threads > 1024)
+            fail(PATHFOLD_INVALID_ARGUMENT, "threads is ", threads,
+                 "; it must be from 1 to 1024, or 0 for all");
+        const std::string chosen = provider != nullptr ? provider : "cpu";
+        *model = new pathfold_model{std::make_shared<const Model>(given_text(name, "name"), chosen, threads)};
+    });
+}
+
+void pathfold_model_release(pathfold_model *model) { delete model; }
+
+const char *pathfold_model_manifest(const pathfold_model *model) {
+    return model != nullptr ? model->model->manifest().text.c_str() : "{}";
+}
+
+const char *pathfold_model_folder(const pathfold_model *model) {
+    return model != nullptr ? model->model->folder().c_str() : "";
+}
+
+pathfold_status pathfold_denoiser_create(const pathfold_model *model, pathfold_denoiser **denoiser) {
+    return guarded([&] {
+        given(denoiser, "denoiser");
+        *denoiser = new pathfold_denoiser{Denoiser(given(model, "model").model), {}, {}};
+    });
+}
+
+void pathfold_denoiser_release(pathfold_denoiser *denoiser) { delete denoiser; }
+
+pathfold_status pathfold_denoiser_set_input(pathfold_denoiser *denoiser, const char *name,
+                                            const pathfold_image *image) {
+    return guarded([&] { given(denoiser, "denoiser").frame.set_input(given_text(name, "name"), image); });
+}
+
+pathfold_status pathfold_denoiser_set_output(pathfold_denoiser *denoiser, const char *name,
+                                             const pathfold_image *image) {
+    return guarded([&] { given(denoiser, "denoiser").frame.set_output(given_text(name, "name"), image); });
+}
+
+pathfold_status pathfold_denoiser_set_layer(pathfold_denoiser *denoiser, const char *layer, const char *part,
+                                            const pathfold_image *image) {
+    return guarded([&] {
+        given(denoiser, "denoiser")
+            .frame.set_layer(given_text(layer, "layer"), given_text(part, "part"), image);
+    });
+}
+
+pathfold_status pathfold_denoiser_set_layer_output(pathfold_denoiser *denoiser, const char *layer,
+                                                   const pathfold_image *image) {
+    return guarded(
+        [&] { given(denoiser, "denoiser").frame.set_layer_output(given_text(layer, "layer"), image); });
+}
+
+int pathfold_denoiser_is_split(const pathfold_denoiser *denoiser) {
+    return denoiser != nullptr && denoiser->frame.split(denoiser->denoiser.model().manifest()) ? 1 : 0;
+}
+
+void pathfold_denoiser_clear(pathfold_denoiser *denoiser) {
+    if (denoiser != nullptr)
+        denoiser->frame.clear();
+}
+
+pathfold_status pathfold_denoiser_set_number(pathfold_denoiser *denoiser, const char *name, double value) {
+    return guarded(
+        [&] { set_number(given(denoiser, "denoiser").settings, given_text(name, "name"), value); });
+}
+
+void pathfold_denoiser_set_progress(pathfold_denoiser *denoiser, pathfold_progress progress, void *user) {
+    if (denoiser == nullptr)
+        return;
+    if (progress == nullptr)
+        denoiser->settings.progress = nullptr;
+    else
+        denoiser->settings.progress = [=](float done) { return progress(user, done) != 0; };
+}
+
+pathfold_status pathfold_denoiser_run(pathfold_denoiser *denoiser) {
+    return guarded([&] {
+        pathfold_denoiser &at = given(denoiser, "denoiser");
+        at.report = at.denoiser.run(at.frame, at.settings);
+    });
+}
+
+const char *pathfold_denoiser_report(const pathfold_denoiser *denoiser) {
+    return denoiser != nullptr ? denoiser->report.c_str() : "{}";
+}
+
+pathfold_status pathfold_auto_exposure(const pathfold_image *color, float *exposure) {
+    return guarded([&] {
+        given(exposure, "exposure");
+        Frame frame;
+        frame.set_input("color", &given(color, "color"));
+        const ImageView &view = frame.input("color");
+        std::vector<uint8_t> valid(size_t(view.width()) * view.height(), 1);
+        Threads threads;
+        Counts counts;
+        const Planes planes = load_radiance(view, false, valid, threads, counts);
+        *exposure = auto_exposure({&planes}, valid, 0.18f, threads);
+    });
+}
+
+pathfold_status pathfold_gather(const pathfold_image *image, const float *logits, int size,
+                                const pathfold_image *result) {
+    return guarded([&] {
+        const ImageView view(given(image, "image"), "image"), out(given(result, "result"), "result");
+        given(logits, "logits");
+        if (size < 1 || size > 63 || size % 2 == 0)
+            fail(PATHFOLD_INVALID_ARGUMENT, "size is ", size, "; it must be odd, from 1 to 63");
+        if (view.size_text() != out.size_text() || view.samples() != 1)
+            fail(PATHFOLD_INVALID_ARGUMENT, "result is ", out.size_text(), "; it must be like image, ",
+                 view.size_text());
+        gather_image(view, logits, size / 2, out);
+    });
+}

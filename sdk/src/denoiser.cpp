@@ -1,0 +1,290 @@
+#include "denoiser.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+
+#include "error.h"
+
+namespace pathfold::core {
+namespace {
+
+constexpr int64_t mebibyte = int64_t(1) << 20;
+constexpr int64_t default_logits_bytes = 256 * mebibyte;
+constexpr int64_t default_window_pixels = 640 * 1024; // 544 x 960 and its overlap: bounds the network's part
+
+/// Pixels that a tile's window may have.
+int64_t window_pixels(const Settings &settings, int64_t logits_floats, int64_t input_floats) {
+    const int64_t logits_bytes = logits_floats * int64_t(sizeof(float));
+    if (settings.memory_mb == 0)
+        return std::min(default_window_pixels, default_logits_bytes / logits_bytes);
+    // A network's own working memory is about that of its inputs.
+    return settings.memory_mb * mebibyte / (logits_bytes + 2 * input_floats * int64_t(sizeof(float)));
+}
+
+} // namespace
+
+/// One frame on its way through the stages.
+class Denoiser::Run {
+public:
+    Run(Denoiser &denoiser, const Frame &frame, const Settings &settings)
+        : denoiser_(denoiser), frame_(frame), settings_(settings), model_(*denoiser.model_),
+          manifest_(model_.manifest()), threads_(denoiser.threads_),
+          prepared_(prepare(frame, manifest_, settings.exposure, threads_)),
+          packer_(frame, prepared_, model_, threads_, denoiser.tensors_), results_(prepared_.signals.size()),
+          idle_tiles_(prepared_.branches.size()) {
+        report_.times.prepare = watch_.lap();
+    }
+
+    std::string go() {
+        plan();
+        for (size_t i = 0; i < tiles_.size(); ++i)
+            denoise(tiles_[i], i);
+        tell_progress(1);
+        finish_report();
+        return report_.json(frame_, model_, prepared_);
+    }
+
+private:
+    void plan();
+    void denoise(const Tile &tile, size_t index);
+    void filter(const Tile &tile, int branch);
+    Logits predict(const Tile &tile, int branch);
+    void fill_neighbourhood(const Tile &tile, int branch);
+    void take_results(const Tile &tile, int branch);
+    void copy_idle(const Tile &tile, int branch);
+    void write(const Tile &tile);
+    void write(const Tile &tile, const ImageView &output, const std::vector<size_t> &signals);
+    void tell_progress(float done) const;
+    void finish_report();
+
+    Denoiser &denoiser_;
+    const Frame &frame_;
+    const Settings &settings_;
+    const Model &model_;
+    const Manifest &manifest_;
+    Threads &threads_;
+    Stopwatch watch_;
+    Prepared prepared_;
+    Packer packer_;
+    std::vector<Tile> tiles_;
+    std::vector<Planes> results_; // of the tile at hand, per signal
+    std::vector<float> gathered_;
+    std::vector<size_t> idle_tiles_; // per branch
+    Report report_;
+};
+
+void Denoiser::Run::plan() {
+    const int64_t taps = int64_t(manifest_.kernel_size) * manifest_.kernel_size;
+    const int64_t pixels = window_pixels(settings_, taps, packer_.floats_per_pixel());
+    if (settings_.tile % manifest_.tile_alignment != 0)
+        fail(PATHFOLD_INVALID_ARGUMENT, "tile is ", settings_.tile, "; it must be a multiple of ",
+             manifest_.tile_alignment, " for the model ", manifest_.name);
+    tiles_ = plan_tiles(frame_.width(), frame_.height(), manifest_.tile_alignment, manifest_.tile_overlap,
+                        pixels, settings_.tile);
+    if (tiles_.empty())
+        fail(PATHFOLD_INVALID_ARGUMENT, "memory_mb is ", settings_.memory_mb,
+             ", too little for the smallest tile with its overlap of ", manifest_.tile_overlap,
+             " pixels; give more, or 0 to have it chosen");
+    report_.tiles = tiles_.size();
+    report_.tile_width = tiles_[0].core.width;
+    report_.tile_height = tiles_[0].core.height;
+}
+
+void Denoiser::Run::denoise(const Tile &tile, size_t index) {
+    bool packed = false;
+    const int branches = int(prepared_.branches.size());
+    for (int branch = 0; branch < branches; ++branch) {
+        tell_progress(float(index * branches + branch) / float(tiles_.size() * branches));
+        if (settings_.leave_out && is_idle(prepared_, branch, tile, manifest_.kernel_size)) {
+            copy_idle(tile, branch);
+            ++idle_tiles_[size_t(branch)];
+            continue;
+        }
+        watch_.lap();
+        if (!packed)
+            packer_.start(tile);
+        packed = true;
+        filter(tile, branch);
+    }
+    watch_.lap();
+    write(tile);
+    report_.times.write += watch_.lap();
+}
+
+void Denoiser::Run::filter(const Tile &tile, int branch) {
+    const Logits logits = predict(tile, branch);
+    fill_neighbourhood(tile, branch);
+    const size_t pixels = size_t(tile.core.width) * tile.core.height;
+    gathered_.resize(std::max(gathered_.size(), pixels * denoiser_.neighbourhood_.planes()));
+    gather(threads_, logits, denoiser_.neighbourhood_, gathered_.data());
+    take_results(tile, branch);
+    report_.times.reconstruct += watch_.lap();
+}
+
+Logits Denoiser::Run::predict(const Tile &tile, int branch) {
+    const int64_t taps = int64_t(manifest_.kernel_size) * manifest_.kernel_size;
+    const int64_t height = tile.window.height, width = tile.window.width;
+    const std::vector<Tensor> inputs = packer_.inputs(branch);
+    std::vector<float> &logits = denoiser_.logits_;
+    logits.resize(std::max(logits.size(), size_t(taps * height * width) + gather_slack));
+    report_.times.pack += watch_.lap();
+    model_.session(*prepared_.branches[size_t(branch)].branch)
+        .run(inputs, {"logits", {1, taps, height, width}, logits.data()});
+    report_.times.network += watch_.lap();
+    const int64_t x = tile.core.x - tile.window.x, y = tile.core.y - tile.window.y;
+    return {logits.data() + y * width + x, size_t(height * width), size_t(width)};
+}
+
+void Denoiser::Run::fill_neighbourhood(const Tile &tile, int branch) {
+    Neighbourhood &source = denoiser_.neighbourhood_;
+    const int radius = manifest_.kernel_size / 2;
+    const Rect area = grown(tile.core, radius, frame_.width(), frame_.height());
+    const Planes &factor = prepared_.branches[size_t(branch)].factor;
+    int planes = 0;
+    for (const Signal &signal : prepared_.signals)
+        planes += signal.branch == branch ? signal.values.channels() : 0;
+    source.reset(planes, tile.core.height, tile.core.width, radius);
+    for_rows(threads_, area.height, [&](int row) {
+        const int y = area.y + row, to_y = y - tile.core.y, to_x = area.x - tile.core.x + radius;
+        int plane = 0;
+        for (const Signal &signal : prepared_.signals) {
+            if (signal.branch != branch)
+                continue;
+            for (int c = 0; c < signal.values.channels(); ++c, ++plane) {
+                const float *values = signal.values.row(c, y) + area.x;
+                float *to = source.row(plane, to_y) + to_x;
+                if (signal.demodulated)
+                    std::transform(values, values + area.width,
+                                   factor.row(std::min(c, factor.channels() - 1), y) + area.x, to,
+                                   std::divides<float>());
+                else
+                    std::copy_n(values, area.width, to);
+            }
+        }
+        const uint8_t *valid = prepared_.valid.data() + size_t(y) * frame_.width() + area.x;
+        std::copy_n(valid, area.width, source.valid_row(to_y) + to_x);
+    });
+    source.finish();
+}
+
+void Denoiser::Run::take_results(const Tile &tile, int branch) {
+    const Planes &factor = prepared_.branches[size_t(branch)].factor;
+    const float *from = gathered_.data();
+    for (size_t i = 0; i < prepared_.signals.size(); ++i) {
+        const Signal &signal = prepared_.signals[i];
+        if (signal.branch != branch)
+            continue;
+        results_[i] = Planes(signal.values.channels(), tile.core.height, tile.core.width);
+        for (int c = 0; c < signal.values.channels(); ++c)
+            for (int y = 0; y < tile.core.height; ++y, from += tile.core.width) {
+                float *to = results_[i].row(c, y);
+                std::copy_n(from, tile.core.width, to);
+                if (signal.demodulated)
+                    std::transform(to, to + tile.core.width,
+                                   factor.row(std::min(c, factor.channels() - 1), tile.core.y + y) +
+                                       tile.core.x,
+                                   to, std::multiplies<float>());
+            }
+    }
+}
+
+void Denoiser::Run::copy_idle(const Tile &tile, int branch) {
+    for (size_t i = 0; i < prepared_.signals.size(); ++i) {
+        const Signal &signal = prepared_.signals[i];
+        if (signal.branch != branch)
+            continue;
+        results_[i] = Planes(signal.values.channels(), tile.core.height, tile.core.width);
+        for (int c = 0; c < signal.values.channels(); ++c)
+            for (int y = 0; y < tile.core.height; ++y)
+                std::copy_n(signal.values.row(c, tile.core.y + y) + tile.core.x, tile.core.width,
+                            results_[i].row(c, y));
+    }
+}
+
+void Denoiser::Run::write(const Tile &tile) {
+    const auto signals_of = [&](const std::string &name) {
+        std::vector<size_t> found;
+        for (size_t i = 0; i < prepared_.signals.size(); ++i)
+            if (prepared_.signals[i].name == name)
+                found.push_back(i);
+        return found;
+    };
+    for (const auto &[name, view] : frame_.outputs()) {
+        std::vector<size_t> signals = signals_of(name);
+        if (name == "color") {
+            signals.clear();
+            for (size_t i = 0; i < prepared_.branches.size(); ++i)
+                signals.push_back(i);
+        }
+        write(tile, view, signals);
+    }
+    for (const Layer &layer : frame_.layers())
+        if (!layer.output.empty())
+            write(tile, layer.output, signals_of(layer.name));
+}
+
+/// Writes the sum of some signals; where the network's kernels are not finite, the noisy pixel stays.
+void Denoiser::Run::write(const Tile &tile, const ImageView &output, const std::vector<size_t> &signals) {
+    std::atomic<int64_t> repaired{0};
+    const bool keeps_sign = prepared_.signals[signals[0]].keeps_sign;
+    for_rows(threads_, tile.core.height, [&](int y) {
+        const int channels = output.channels(), width = tile.core.width;
+        std::vector<float> pixels(size_t(width) * channels);
+        for (int c = 0; c < channels; ++c)
+            for (int x = 0; x < width; ++x) {
+                float value = 0, noisy = 0;
+                for (size_t i : signals) {
+                    value += results_[i].row(c, y)[x];
+                    noisy += prepared_.signals[i].values.row(c, tile.core.y + y)[tile.core.x + x];
+                }
+                if (!std::isfinite(value))
+                    value = noisy, ++repaired;
+                pixels[size_t(x) * channels + c] = keeps_sign ? value : std::max(value, 0.0f);
+            }
+        output.store_row(tile.core.y + y, tile.core.x, width, pixels.data());
+    });
+    report_.counts.repaired += repaired;
+}
+
+void Denoiser::Run::tell_progress(float done) const {
+    if (settings_.progress && !settings_.progress(done))
+        fail(PATHFOLD_CANCELLED, "cancelled by the progress callback");
+}
+
+void Denoiser::Run::finish_report() {
+    size_t ran = 0;
+    for (size_t idle : idle_tiles_)
+        ran += tiles_.size() - idle;
+    const double tile_ms = ran > 0 ? (report_.times.total() - report_.times.prepare) / double(ran) : -1;
+    for (size_t i = 0; i < idle_tiles_.size(); ++i) {
+        const ActiveBranch &active = prepared_.branches[i];
+        const bool all = idle_tiles_[i] == tiles_.size();
+        if (!all)
+            report_.branches.push_back(active.branch->name);
+        if (idle_tiles_[i] == 0)
+            continue;
+        const std::string where = all ? "" : text(" in ", idle_tiles_[i], " of ", tiles_.size(), " tiles");
+        report_.left_out.push_back({"branch " + active.branch->name + where,
+                                    active.radiance + " is constant there: filtering changes nothing",
+                                    tile_ms < 0 ? -1 : tile_ms * double(idle_tiles_[i])});
+    }
+    for (const std::string &name : unread_buffers(frame_, manifest_, prepared_.split))
+        report_.left_out.push_back({"input " + name, "not read by the model for this frame"});
+    const int64_t samples = frame_.samples();
+    if (samples > 0 && (samples < manifest_.min_samples || samples > manifest_.max_samples))
+        report_.notes.push_back(text(samples, " samples per pixel; the model was trained on ",
+                                     manifest_.min_samples, " to ", manifest_.max_samples));
+    report_.counts += prepared_.counts;
+    report_.counts += packer_.counts();
+}
+
+Denoiser::Denoiser(std::shared_ptr<const Model> model)
+    : model_(std::move(model)), threads_(model_->threads()) {}
+
+std::string Denoiser::run(const Frame &frame, const Settings &settings) {
+    frame.check(model_->manifest());
+    return Run(*this, frame, settings).go();
+}
+
+} // namespace pathfold::core

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "frame.h"
+#include "model.h"
+#include "pack.h"
+#include "reconstruct.h"
+#include "report.h"
+
+namespace pathfold::core {
+
+/// What a caller may choose; 0 means chosen for him.
+struct Settings {
+    float exposure = 0;
+    int64_t memory_mb = 0;
+    int tile = 0;
+    bool leave_out = true;
+    std::function<bool(float)> progress; ///< told the part done; false cancels
+};
+
+/// One model applied to frames. One run at a time.
+class Denoiser {
+public:
+    explicit Denoiser(std::shared_ptr<const Model> model);
+
+    /// Denoises the frame into its outputs and returns the report, as JSON.
+    std::string run(const Frame &frame, const Settings &settings);
+
+    const Model &model() const { return *model_; }
+
+private:
+    class Run;
+
+    std::shared_ptr<const Model> model_;
+    Threads threads_;
+    TensorMemory tensors_;        // kept between tiles and frames
+    std::vector<float> logits_;   // likewise
+    Neighbourhood neighbourhood_; // likewise
+};
+
+} // namespace pathfold::core

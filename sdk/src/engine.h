@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace pathfold::core {
+
+/// A tensor in the caller's memory: row-major float32.
+struct Tensor {
+    std::string name;
+    std::vector<int64_t> shape;
+    float *data = nullptr;
+};
+
+/// A graph's input or output as the graph itself declares it; -1 is a dynamic size.
+struct Port {
+    std::string name;
+    std::vector<int64_t> shape;
+    bool float32 = true;
+};
+
+/// Names the onnxruntime library to load; see pathfold_set_onnxruntime.
+void set_onnxruntime(const std::string &path);
+
+/// A network made ready to run, by onnxruntime loaded at run time. Immutable: threads may share it.
+class Session {
+public:
+    /// `name` is what messages call the graph. Throws engine, not-found (no library), unsupported (provider).
+    Session(const void *model, size_t size, const std::string &name, const std::string &provider,
+            int threads);
+    ~Session();
+    Session(Session &&) noexcept;
+
+    const std::vector<Port> &inputs() const { return inputs_; }
+    const std::vector<Port> &outputs() const { return outputs_; }
+
+    /// Runs the graph into `output`, whose memory the caller gives.
+    void run(const std::vector<Tensor> &inputs, const Tensor &output) const;
+
+private:
+    struct Handles;
+    std::unique_ptr<Handles> handles_;
+    std::string name_;
+    std::vector<Port> inputs_, outputs_;
+};
+
+} // namespace pathfold::core

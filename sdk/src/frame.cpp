@@ -1,0 +1,187 @@
+#include "frame.h"
+
+#include <algorithm>
+#include <set>
+
+#include "buffers.h"
+#include "error.h"
+
+namespace pathfold::core {
+namespace {
+
+const std::set<std::string> output_names = {"color", "diffuse", "specular", "alpha"};
+const std::set<std::string> layer_parts = {"color", "diffuse", "specular"};
+
+void expect_channels(const ImageView &view, int channels, const std::string &name) {
+    if (view.channels() != channels)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", view.size_text(), "; ", name, " has ",
+             channels, channels == 1 ? " channel" : " channels");
+}
+
+} // namespace
+
+void Frame::set_input(const std::string &name, const pathfold_image *image) {
+    const BufferKind *kind = find_buffer(name);
+    if (kind == nullptr)
+        fail(PATHFOLD_INVALID_ARGUMENT, "there is no buffer named \"", name,
+             "\"; buffers are: ", buffer_names());
+    if (image == nullptr) {
+        inputs_.erase(name);
+        return;
+    }
+    const ImageView view(*image, name);
+    expect_channels(view, kind->channels, name);
+    if (!kind->per_sample && view.samples() != 1)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": samples is ", view.samples(), "; a pixel buffer has 1");
+    inputs_[name] = view;
+}
+
+void Frame::set_output(const std::string &name, const pathfold_image *image) {
+    if (output_names.count(name) == 0)
+        fail(PATHFOLD_INVALID_ARGUMENT, "there is no output named \"", name,
+             "\"; outputs are: ", list(output_names));
+    if (image == nullptr) {
+        outputs_.erase(name);
+        return;
+    }
+    const ImageView view(*image, "output " + name);
+    expect_channels(view, find_buffer(name)->channels, "output " + name);
+    outputs_[name] = view;
+}
+
+Layer &Frame::layer(const std::string &name) {
+    for (Layer &layer : layers_)
+        if (layer.name == name)
+            return layer;
+    layers_.push_back({name, {}, {}});
+    return layers_.back();
+}
+
+void Frame::set_layer(const std::string &name, const std::string &part, const pathfold_image *image) {
+    if (name.empty() || output_names.count(name) > 0)
+        fail(PATHFOLD_INVALID_ARGUMENT, "a layer cannot be named \"", name,
+             "\"; that is empty or the name of an output");
+    if (layer_parts.count(part) == 0)
+        fail(PATHFOLD_INVALID_ARGUMENT, "the layer ", name, " has no part named \"", part,
+             "\"; parts are: ", list(layer_parts));
+    if (image == nullptr)
+        fail(PATHFOLD_INVALID_ARGUMENT, "the layer ", name, ": image is a null pointer; give its ", part);
+    const ImageView view(*image, name + "." + part);
+    if (view.samples() != 1)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ".", part, ": samples is ", view.samples(), "; a layer has 1");
+    layer(name).parts[part] = view;
+}
+
+void Frame::set_layer_output(const std::string &name, const pathfold_image *image) {
+    const ImageView view = image != nullptr ? ImageView(*image, "output " + name) : ImageView();
+    layer(name).output = view;
+}
+
+void Frame::clear() {
+    inputs_.clear();
+    outputs_.clear();
+    layers_.clear();
+}
+
+int64_t Frame::samples() const {
+    for (const auto &[name, view] : inputs_)
+        if (find_buffer(name)->per_sample)
+            return view.samples();
+    return 0;
+}
+
+bool Frame::split(const Manifest &manifest) const {
+    for (const Branch &branch : manifest.branches) {
+        const bool modulated = branch.demodulate_by.empty() || has(branch.demodulate_by);
+        if (branch.radiance == "color" || !has(branch.radiance) || !modulated)
+            return false;
+    }
+    return std::all_of(layers_.begin(), layers_.end(), [](const Layer &layer) { return layer.split(); });
+}
+
+std::vector<std::string> Frame::input_names() const {
+    std::vector<std::string> names;
+    for (const auto &[name, view] : inputs_)
+        names.push_back(name);
+    return names;
+}
+
+void Frame::check(const Manifest &manifest) const {
+    check_required(manifest);
+    check_sizes();
+    check_outputs(manifest);
+}
+
+void Frame::check_required(const Manifest &manifest) const {
+    const bool parts = has("diffuse") && has("specular");
+    if (!has("color") && !parts)
+        fail(PATHFOLD_INVALID_ARGUMENT,
+             "the frame has no color (nor diffuse and specular, whose sum it is); "
+             "given: ",
+             list(input_names()));
+    for (const std::string &name : manifest.requires_)
+        if (!has(name) && !(name == "color" && parts))
+            fail(PATHFOLD_INVALID_ARGUMENT, "the model ", manifest.name, " requires the buffer ", name,
+                 ", which was not given; given: ", list(input_names()),
+                 "; give it, or take a model that does without");
+}
+
+void Frame::check_sizes() const {
+    const std::string first = has("color") ? "color" : "diffuse";
+    const ImageView &right = input(first);
+    const auto expect = [&](const ImageView &view, const std::string &name) {
+        if (view.width() != right.width() || view.height() != right.height())
+            fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", view.size_text(), ", but ", first,
+                 " is ", right.size_text(),
+                 " (height x width x channels); all buffers must have the same size");
+    };
+    for (const auto &[name, view] : inputs_) {
+        expect(view, name);
+        if (find_buffer(name)->per_sample && view.samples() != samples())
+            fail(PATHFOLD_INVALID_ARGUMENT, name, ": there are ", view.samples(), " samples per pixel, but ",
+                 samples(), " in another buffer; all samples buffers must have as many");
+    }
+    for (const auto &[name, view] : outputs_)
+        expect(view, "output " + name);
+    for (const Layer &layer : layers_) {
+        const bool whole = layer.parts.size() == 1 && !layer.split();
+        const bool both = layer.parts.size() == 2 && layer.split();
+        if (!whole && !both)
+            fail(PATHFOLD_INVALID_ARGUMENT, "the layer ", layer.name,
+                 " must be given as color, or as diffuse and specular");
+        for (const auto &[part, view] : layer.parts) {
+            expect(view, layer.name + "." + part);
+            if (view.channels() != layer.parts.begin()->second.channels())
+                fail(PATHFOLD_INVALID_ARGUMENT, "the layer ", layer.name,
+                     ": diffuse and specular must have as many channels");
+        }
+        if (!layer.output.empty()) {
+            expect(layer.output, "output " + layer.name);
+            expect_channels(layer.output, layer.parts.begin()->second.channels(), "output " + layer.name);
+        }
+    }
+}
+
+void Frame::check_outputs(const Manifest &manifest) const {
+    if (outputs_.count("alpha") > 0 && !has("alpha"))
+        fail(PATHFOLD_INVALID_ARGUMENT, "output alpha was asked for, but the frame has no alpha");
+    for (const char *part : {"diffuse", "specular"})
+        if (outputs_.count(part) > 0 && !split(manifest))
+            fail(PATHFOLD_INVALID_ARGUMENT, "output ", part, " was asked for, but the frame is not split: ",
+                 "diffuse, specular and diffuse.albedo are needed, and no layer that is not split");
+    // What is filtered is held by the denoiser; guides and samples are read tile by tile.
+    const std::set<std::string> held = {"color", "diffuse", "specular", "alpha"};
+    const auto expect_apart = [&](const ImageView &output, const std::string &name) {
+        for (const auto &[input_name, view] : inputs_)
+            if (held.count(input_name) == 0 && manifest.reads(input_name) && output.overlaps(view))
+                fail(PATHFOLD_INVALID_ARGUMENT, "output ", name, " lies over the buffer ", input_name,
+                     ", which is read until the end; give it memory of its own");
+    };
+    for (const auto &[name, view] : outputs_)
+        expect_apart(view, name);
+    for (const Layer &layer : layers_)
+        if (!layer.output.empty())
+            expect_apart(layer.output, layer.name);
+}
+
+} // namespace pathfold::core

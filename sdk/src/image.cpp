@@ -1,0 +1,113 @@
+#include "image.h"
+
+#include <algorithm>
+#include <cstdlib>
+#include <cstring>
+#include <utility>
+
+#include "error.h"
+#include "half.h"
+
+namespace pathfold::core {
+namespace {
+
+constexpr int64_t max_edge = 1 << 16;
+constexpr int64_t max_samples = 1 << 16;
+
+int64_t value_size(pathfold_format format) { return format == PATHFOLD_FLOAT16 ? 2 : 4; }
+
+/// The bytes between which a view's values lie: [first, last).
+std::pair<uintptr_t, uintptr_t> extent(const pathfold_image &image) {
+    int64_t low = 0, high = value_size(image.format);
+    const std::pair<int64_t, int64_t> axes[] = {{image.samples, image.sample_stride},
+                                                {image.height, image.row_stride},
+                                                {image.width, image.pixel_stride},
+                                                {image.channels, image.channel_stride}};
+    for (auto [count, stride] : axes)
+        (stride < 0 ? low : high) += (count - 1) * stride;
+    const auto base = reinterpret_cast<uintptr_t>(image.data);
+    return {base + uintptr_t(low), base + uintptr_t(high)};
+}
+
+} // namespace
+
+ImageView::ImageView(const pathfold_image &image, const std::string &name) : image_(image) {
+    if (image.data == nullptr)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": data is a null pointer; give the first pixel's address");
+    if (image.format != PATHFOLD_FLOAT32 && image.format != PATHFOLD_FLOAT16)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": format is ", int(image.format),
+             "; it must be PATHFOLD_FLOAT32 (0) or PATHFOLD_FLOAT16 (1)");
+    if (image.width < 1 || image.height < 1 || image.channels < 1 || image.samples < 1)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", size_text(),
+             " (height x width x channels); it must have at least one pixel");
+    if (image.width > max_edge || image.height > max_edge || image.channels > max_edge ||
+        image.samples > max_samples)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", size_text(), "; no edge may exceed ",
+             max_edge);
+}
+
+std::string ImageView::size_text() const {
+    const std::string size = text(image_.height, " x ", image_.width, " x ", image_.channels);
+    return image_.samples > 1 ? text(image_.samples, " x ", size) : size;
+}
+
+char *ImageView::at(int64_t sample, int y, int x) const {
+    return static_cast<char *>(image_.data) + sample * image_.sample_stride + y * image_.row_stride +
+           x * image_.pixel_stride;
+}
+
+bool ImageView::packed() const {
+    const int64_t size = value_size(image_.format);
+    return (image_.channel_stride == size || image_.channels == 1) &&
+           image_.pixel_stride == size * image_.channels;
+}
+
+void ImageView::load_row(int64_t sample, int y, int x, int count, float *out) const {
+    const char *start = at(sample, y, x);
+    const size_t values = size_t(count) * size_t(image_.channels);
+    const bool half = image_.format == PATHFOLD_FLOAT16;
+    if (packed()) {
+        if (half)
+            half_to_float(reinterpret_cast<const uint16_t *>(start), values, out);
+        else
+            std::memcpy(out, start, values * sizeof(float));
+        return;
+    }
+    for (int i = 0; i < count; ++i)
+        for (int64_t c = 0; c < image_.channels; ++c) {
+            const char *value = start + i * image_.pixel_stride + c * image_.channel_stride;
+            if (half)
+                half_to_float(reinterpret_cast<const uint16_t *>(value), 1, out++);
+            else
+                std::memcpy(out++, value, sizeof(float));
+        }
+}
+
+void ImageView::store_row(int y, int x, int count, const float *values) const {
+    char *start = at(0, y, x);
+    const size_t all = size_t(count) * size_t(image_.channels);
+    const bool half = image_.format == PATHFOLD_FLOAT16;
+    if (packed()) {
+        if (half)
+            float_to_half(values, all, reinterpret_cast<uint16_t *>(start));
+        else
+            std::memcpy(start, values, all * sizeof(float));
+        return;
+    }
+    for (int i = 0; i < count; ++i)
+        for (int64_t c = 0; c < image_.channels; ++c) {
+            char *value = start + i * image_.pixel_stride + c * image_.channel_stride;
+            if (half)
+                float_to_half(values++, 1, reinterpret_cast<uint16_t *>(value));
+            else
+                std::memcpy(value, values++, sizeof(float));
+        }
+}
+
+bool ImageView::overlaps(const ImageView &other) const {
+    const auto [begin, end] = extent(image_);
+    const auto [other_begin, other_end] = extent(other.image_);
+    return begin < other_end && other_begin < end;
+}
+
+} // namespace pathfold::core

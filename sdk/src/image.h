@@ -1,0 +1,66 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "pathfold/pathfold.h"
+
+namespace pathfold::core {
+
+/// A view of the caller's pixels: any strides, float32 or float16. Only this file knows either.
+class ImageView {
+public:
+    ImageView() = default;
+
+    /// Checks the view; `name` is what messages call it. Throws invalid-argument.
+    ImageView(const pathfold_image &image, const std::string &name);
+
+    bool empty() const { return image_.data == nullptr; }
+    int64_t samples() const { return image_.samples; }
+    int height() const { return int(image_.height); }
+    int width() const { return int(image_.width); }
+    int channels() const { return int(image_.channels); }
+
+    /// Reads `count` pixels of row y from column x on, interleaved: out[pixel * channels + channel].
+    void load_row(int64_t sample, int y, int x, int count, float *out) const;
+
+    /// Writes the same way; values beyond half's range are clamped to it.
+    void store_row(int y, int x, int count, const float *values) const;
+
+    /// Whether the two views share memory.
+    bool overlaps(const ImageView &other) const;
+
+    /// "480 x 640 x 3", with samples in front where there is more than one.
+    std::string size_text() const;
+
+private:
+    char *at(int64_t sample, int y, int x) const;
+    bool packed() const; // pixels and channels of a row follow each other without gaps
+
+    pathfold_image image_{};
+};
+
+/// Planar float32 pixels of our own: values[channel][y][x].
+class Planes {
+public:
+    Planes() = default;
+    Planes(int channels, int height, int width)
+        : channels_(channels), height_(height), width_(width),
+          values_(size_t(channels) * size_t(height) * size_t(width)) {}
+
+    int channels() const { return channels_; }
+    int height() const { return height_; }
+    int width() const { return width_; }
+    float *row(int channel, int y) { return values_.data() + (size_t(channel) * height_ + y) * width_; }
+    const float *row(int channel, int y) const {
+        return values_.data() + (size_t(channel) * height_ + y) * width_;
+    }
+
+private:
+    int channels_ = 0, height_ = 0, width_ = 0;
+    std::vector<float> values_;
+};
+
+} // namespace pathfold::core

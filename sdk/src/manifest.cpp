@@ -1,0 +1,317 @@
+#include "manifest.h"
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <set>
+
+#include <nlohmann/json.hpp>
+
+#include "buffers.h"
+#include "error.h"
+
+namespace pathfold::core {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr size_t max_bytes = 1 << 20;
+constexpr int max_depth = 32;
+constexpr int format_version = 1;
+constexpr int max_kernel = 63;
+
+/// A JSON value with the path that leads to it, so that every complaint names its key.
+class Field {
+public:
+    Field(const Json &value, std::string path) : value_(value), path_(std::move(path)) {}
+
+    template <typename... Parts>
+    [[noreturn]] void wrong(const Parts &...must) const {
+        std::string given = value_.dump();
+        if (given.size() > 60)
+            given = given.substr(0, 60) + "...";
+        fail(PATHFOLD_INVALID_MODEL, "manifest.json: ", path_, " is ", given, "; it must be ", must...);
+    }
+
+    /// The object's keys must be among `known`.
+    const Field &keys(const std::set<std::string> &known) const {
+        if (!value_.is_object())
+            wrong("an object with the keys ", list(known));
+        for (const auto &[key, unused] : value_.items())
+            if (known.count(key) == 0)
+                fail(PATHFOLD_INVALID_MODEL, "manifest.json: unknown key ", child(key),
+                     "; known keys there: ", list(known));
+        return *this;
+    }
+
+    bool has(const char *key) const { return value_.is_object() && value_.contains(key); }
+
+    Field at(const std::string &key) const {
+        if (!value_.is_object())
+            wrong("an object");
+        const auto found = value_.find(key);
+        if (found == value_.end())
+            fail(PATHFOLD_INVALID_MODEL, "manifest.json: ", child(key), " is missing");
+        return {*found, child(key)};
+    }
+
+    std::vector<std::pair<std::string, Field>> members() const {
+        if (!value_.is_object() || value_.empty())
+            wrong("an object that is not empty");
+        std::vector<std::pair<std::string, Field>> fields;
+        for (const auto &[key, value] : value_.items())
+            fields.emplace_back(key, Field(value, child(key)));
+        return fields;
+    }
+
+    std::vector<Field> items() const {
+        if (!value_.is_array())
+            wrong("an array");
+        std::vector<Field> fields;
+        for (size_t i = 0; i < value_.size(); ++i)
+            fields.emplace_back(value_[i], text(path_, "[", i, "]"));
+        return fields;
+    }
+
+    std::string string() const {
+        if (!value_.is_string())
+            wrong("a string");
+        return value_.get<std::string>();
+    }
+
+    bool boolean() const {
+        if (!value_.is_boolean())
+            wrong("true or false");
+        return value_.get<bool>();
+    }
+
+    int64_t integer(int64_t least, int64_t most) const {
+        if (!value_.is_number_integer() || value_ < least || value_ > most)
+            wrong("an integer from ", least, " to ", most);
+        return value_.get<int64_t>();
+    }
+
+    double number(double least, double most) const {
+        if (!value_.is_number() || !(value_.get<double>() >= least) || !(value_.get<double>() <= most))
+            wrong("a number from ", least, " to ", most);
+        return value_.get<double>();
+    }
+
+    std::string one_of(const std::set<std::string> &choices) const {
+        const std::string given = string();
+        if (choices.count(given) == 0)
+            wrong("one of ", list(choices));
+        return given;
+    }
+
+    bool is_string() const { return value_.is_string(); }
+
+private:
+    std::string child(const std::string &key) const { return path_.empty() ? key : path_ + "." + key; }
+
+    const Json &value_;
+    std::string path_;
+};
+
+Json parse_json(const std::string &text) {
+    if (text.size() > max_bytes)
+        fail(PATHFOLD_INVALID_MODEL, "manifest.json has ", text.size(), " bytes; at most ", max_bytes,
+             " are read");
+    const auto shallow = [](int depth, Json::parse_event_t, Json &) {
+        if (depth > max_depth)
+            fail(PATHFOLD_INVALID_MODEL, "manifest.json nests deeper than ", max_depth, " levels");
+        return true;
+    };
+    try {
+        return Json::parse(text, shallow);
+    } catch (const Json::exception &error) {
+        fail(PATHFOLD_INVALID_MODEL, "manifest.json is not JSON: ", error.what());
+    }
+}
+
+Shape read_shape(const Field &field) {
+    Shape shape;
+    for (const Field &axis : field.items()) {
+        Dim dim;
+        if (axis.is_string())
+            dim.name = axis.one_of({"H", "W", "S"});
+        else
+            dim.size = axis.integer(1, 1 << 20);
+        shape.push_back(dim);
+    }
+    return shape;
+}
+
+void expect_shape(const Field &field, const Shape &shape, const Shape &right) {
+    const auto same = [](const Dim &a, const Dim &b) { return a.size == b.size && a.name == b.name; };
+    if (shape.size() != right.size() || !std::equal(shape.begin(), shape.end(), right.begin(), same))
+        field.wrong(shape_text(right));
+}
+
+std::vector<std::string> read_buffers(const Field &field) {
+    std::vector<std::string> names;
+    for (const Field &item : field.items()) {
+        if (find_buffer(item.string()) == nullptr)
+            item.wrong("the name of a buffer: ", buffer_names());
+        names.push_back(item.string());
+    }
+    return names;
+}
+
+Graph read_graph(const Field &field, int kernel_size) {
+    field.keys({"file", "sha256", "inputs", "outputs"});
+    Graph graph;
+    const Field file = field.at("file"), hash = field.at("sha256");
+    graph.file = file.string();
+    if (graph.file.empty() || graph.file[0] == '.' || graph.file.find_first_of("/\\:") != std::string::npos)
+        file.wrong("the name of a file in the model's folder, without a path");
+    graph.sha256 = hash.string();
+    const auto is_digit = [](unsigned char c) { return std::isdigit(c) || (c >= 'a' && c <= 'f'); };
+    if (graph.sha256.size() != 64 || !std::all_of(graph.sha256.begin(), graph.sha256.end(), is_digit))
+        hash.wrong("64 lower-case hexadecimal digits");
+    for (const auto &[name, input] : field.at("inputs").members()) {
+        const Shape right = input_shape(name);
+        if (right.empty())
+            fail(PATHFOLD_INVALID_MODEL, "manifest.json: a graph has the input ", name,
+                 ", which this version does not know how to feed");
+        graph.inputs[name] = read_shape(input);
+        expect_shape(input, graph.inputs[name], right);
+    }
+    const Field logits = field.at("outputs").keys({"logits"}).at("logits");
+    graph.logits = read_shape(logits);
+    expect_shape(logits, graph.logits, {{1, ""}, {kernel_size * kernel_size, ""}, {-1, "H"}, {-1, "W"}});
+    return graph;
+}
+
+Branch read_branch(const Field &field) {
+    field.keys({"name", "graph", "radiance", "demodulate", "unsplit"});
+    Branch branch;
+    branch.name = field.at("name").string();
+    branch.graph = field.at("graph").string();
+    branch.radiance = field.at("radiance").one_of({"color", "diffuse", "specular"});
+    branch.unsplit = field.has("unsplit") && field.at("unsplit").boolean();
+    if (field.has("demodulate")) {
+        const Field demodulate = field.at("demodulate").keys({"by", "epsilon"});
+        branch.demodulate_by = demodulate.at("by").one_of({"albedo", "diffuse.albedo"});
+        branch.epsilon = float(demodulate.at("epsilon").number(1e-6, 1));
+    }
+    return branch;
+}
+
+void read_reconstruction(const Field &field, Manifest &manifest) {
+    field.keys({"operator", "size", "branches"});
+    field.at("operator").one_of({"gather"});
+    manifest.kernel_size = int(field.at("size").integer(1, max_kernel));
+    if (manifest.kernel_size % 2 == 0)
+        field.at("size").wrong("odd");
+    const Field branches = field.at("branches");
+    for (const Field &item : branches.items())
+        manifest.branches.push_back(read_branch(item));
+    const auto unsplit = [](const Branch &branch) { return branch.unsplit; };
+    if (std::count_if(manifest.branches.begin(), manifest.branches.end(), unsplit) != 1)
+        branches.wrong("branches of which exactly one has \"unsplit\": true");
+    if (!manifest.unsplit_branch().demodulate_by.empty())
+        branches.wrong("such that the branch with \"unsplit\" has no \"demodulate\"");
+    std::set<std::string> radiance;
+    for (const Branch &branch : manifest.branches)
+        radiance.insert(branch.radiance);
+    const bool known = radiance == std::set<std::string>{"color"} ||
+                       radiance == std::set<std::string>{"diffuse", "specular"};
+    if (!known || radiance.size() != manifest.branches.size())
+        branches.wrong("one branch with the radiance color, or two with diffuse and specular");
+}
+
+/// The buffer behind a graph input; empty for scalars and flags.
+std::string buffer_of(const std::string &input) {
+    return find_buffer(input) != nullptr ? input : std::string();
+}
+
+void check_references(const Manifest &manifest) {
+    for (const Branch &branch : manifest.branches) {
+        if (manifest.graphs.count(branch.graph) == 0)
+            fail(PATHFOLD_INVALID_MODEL, "manifest.json: the branch ", branch.name, " names the graph ",
+                 branch.graph, ", which is not among graphs");
+        if (!branch.demodulate_by.empty() && !manifest.reads(branch.demodulate_by))
+            fail(PATHFOLD_INVALID_MODEL, "manifest.json: the branch ", branch.name, " divides by ",
+                 branch.demodulate_by, ", which is in neither requires nor uses");
+    }
+    for (const auto &[name, graph] : manifest.graphs)
+        for (const auto &[input, shape] : graph.inputs)
+            if (const std::string buffer = buffer_of(input); !buffer.empty() && !manifest.reads(buffer))
+                fail(PATHFOLD_INVALID_MODEL, "manifest.json: graphs.", name, " has the input ", input,
+                     ", which is in neither requires nor uses");
+}
+
+} // namespace
+
+std::string shape_text(const Shape &shape) {
+    std::string joined;
+    for (const Dim &dim : shape)
+        joined += (joined.empty() ? "" : ", ") + (dim.size >= 0 ? std::to_string(dim.size) : dim.name);
+    return "[" + joined + "]";
+}
+
+Shape input_shape(const std::string &name) {
+    const Dim one{1, ""}, height{-1, "H"}, width{-1, "W"}, samples{-1, "S"};
+    if (name == "exposure" || name == "depth_scale")
+        return {one};
+    for (const char *flag : {"variance", "albedo", "normal", "depth", "split"})
+        if (name == flag + std::string(".present"))
+            return {one};
+    if (name == "radiance")
+        return {one, {3, ""}, height, width};
+    for (const char *buffer : {"variance", "albedo", "normal", "depth", "diffuse.albedo"})
+        if (name == buffer)
+            return {one, {find_buffer(name)->channels, ""}, height, width};
+    if (const BufferKind *kind = find_buffer(name); kind != nullptr && kind->per_sample)
+        return {samples, {kind->channels, ""}, height, width};
+    return {};
+}
+
+const Branch &Manifest::unsplit_branch() const {
+    return *std::find_if(branches.begin(), branches.end(), [](const Branch &b) { return b.unsplit; });
+}
+
+bool Manifest::reads(const std::string &buffer) const {
+    const auto in = [&](const std::vector<std::string> &names) {
+        return std::find(names.begin(), names.end(), buffer) != names.end();
+    };
+    return in(requires_) || in(uses);
+}
+
+Manifest Manifest::parse(const std::string &text) {
+    const Json json = parse_json(text);
+    const Field root(json, "");
+    if (!json.is_object())
+        fail(PATHFOLD_INVALID_MODEL, "manifest.json must hold one object");
+    const int64_t format = root.at("format").integer(1, 1 << 30);
+    if (format > format_version)
+        fail(PATHFOLD_UNSUPPORTED, "manifest.json has format ", format, "; this pathfold reads format ",
+             format_version, ": take a newer pathfold or a model exported for this one");
+    root.keys({"format", "name", "description", "license", "requires", "uses", "graphs", "reconstruction",
+               "exposure", "tile", "samples_per_pixel", "precision", "training"});
+    Manifest manifest;
+    manifest.text = text;
+    manifest.name = root.at("name").string();
+    manifest.description = root.has("description") ? root.at("description").string() : "";
+    manifest.license = root.at("license").string();
+    manifest.requires_ = read_buffers(root.at("requires"));
+    manifest.uses = read_buffers(root.at("uses"));
+    read_reconstruction(root.at("reconstruction"), manifest);
+    for (const auto &[name, graph] : root.at("graphs").members())
+        manifest.graphs[name] = read_graph(graph, manifest.kernel_size);
+    const Field exposure = root.at("exposure").keys({"rule", "key"});
+    exposure.at("rule").one_of({"log-average"});
+    manifest.exposure_key = float(exposure.at("key").number(1e-3, 1e3));
+    const Field tile = root.at("tile").keys({"alignment", "overlap"});
+    manifest.tile_alignment = int(tile.at("alignment").integer(1, 1024));
+    manifest.tile_overlap = int(tile.at("overlap").integer(0, 4096));
+    const Field samples = root.at("samples_per_pixel").keys({"min", "max"});
+    manifest.min_samples = samples.at("min").integer(1, 1 << 30);
+    manifest.max_samples = samples.at("max").integer(manifest.min_samples, 1 << 30);
+    manifest.precision = root.at("precision").string();
+    check_references(manifest);
+    return manifest;
+}
+
+} // namespace pathfold::core

@@ -1,0 +1,57 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+namespace pathfold::core {
+
+/// One axis of a tensor: a size, or a name ("H", "W", "S") where size is -1.
+struct Dim {
+    int64_t size = -1;
+    std::string name;
+};
+using Shape = std::vector<Dim>;
+
+/// "[1, 3, H, W]".
+std::string shape_text(const Shape &shape);
+
+/// A network: its file and what it says of its own inputs and of its one output, "logits".
+struct Graph {
+    std::string file, sha256;
+    std::map<std::string, Shape> inputs;
+    Shape logits;
+};
+
+/// One set of kernels and the radiance that it filters.
+struct Branch {
+    std::string name, graph;
+    std::string radiance;      ///< "color", "diffuse" or "specular"
+    std::string demodulate_by; ///< buffer that radiance is divided by before filtering; empty: none
+    float epsilon = 0;         ///< added to that buffer
+    bool unsplit = false;      ///< takes color where a frame is not split; its kernels filter alpha too
+};
+
+/// A model folder's manifest.json, validated. `text` is the file as it stands.
+struct Manifest {
+    std::string name, description, license, precision, text;
+    std::vector<std::string> requires_, uses;
+    std::map<std::string, Graph> graphs;
+    int kernel_size = 0;
+    std::vector<Branch> branches;
+    float exposure_key = 0.18f;
+    int tile_alignment = 1, tile_overlap = 0;
+    int64_t min_samples = 1, max_samples = 1;
+
+    const Branch &unsplit_branch() const;
+    bool reads(const std::string &buffer) const; ///< whether the model requires or can use it
+
+    /// Throws invalid-model (unsupported for a newer format), naming the key, what it is, what it must be.
+    static Manifest parse(const std::string &text);
+};
+
+/// The shape that a graph input of that reserved name has, empty where the name is not reserved.
+Shape input_shape(const std::string &name);
+
+} // namespace pathfold::core

@@ -1,0 +1,204 @@
+#include "pack.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <oneapi/tbb/combinable.h>
+
+#include "buffers.h"
+
+namespace pathfold::core {
+namespace {
+
+constexpr float dead_log = -100.0f; // the descriptor's sentinel for the log of 0
+constexpr int descriptor_logs = 24; // channels 0 to 23 are logs, the rest tags and roughness
+
+int channels_of(const std::string &input) { return int(input_shape(input)[1].size); }
+
+bool is_scalar(const std::string &input) { return input_shape(input).size() == 1; }
+
+bool is_samples(const std::string &input) { return input.rfind("samples.", 0) == 0; }
+
+} // namespace
+
+Packer::Packer(const Frame &frame, const Prepared &prepared, const Model &model, Threads &threads,
+               TensorMemory &memory)
+    : frame_(frame), prepared_(prepared), model_(model), threads_(threads),
+      samples_(std::max<int64_t>(1, frame.samples())), memory_(memory) {
+    for (const ActiveBranch &active : prepared.branches)
+        for (const auto &[name, shape] : model.graph(*active.branch).inputs)
+            names_.insert(name);
+}
+
+int64_t Packer::floats_per_pixel() const {
+    int64_t floats = 0;
+    for (const std::string &name : names_)
+        if (!is_scalar(name))
+            floats += channels_of(name) * (is_samples(name) ? samples_ : 1);
+    return floats;
+}
+
+bool Packer::in_core(int x, int y) const {
+    const Rect &core = tile_.core;
+    return x >= core.x && x < core.x + core.width && y >= core.y && y < core.y + core.height;
+}
+
+Tensor Packer::tensor(const std::string &name, std::vector<int64_t> shape) {
+    size_t size = 1;
+    for (int64_t edge : shape)
+        size *= size_t(edge);
+    std::vector<float> &memory = memory_[name];
+    memory.resize(std::max(size, memory.size()));
+    return {name, std::move(shape), memory.data()};
+}
+
+void Packer::start(const Tile &tile) {
+    tile_ = tile;
+    const int64_t height = tile.window.height, width = tile.window.width;
+    bool samples = false;
+    for (const std::string &name : names_) {
+        if (is_scalar(name))
+            tensor(name, {1});
+        else
+            tensor(name, {is_samples(name) ? samples_ : 1, channels_of(name), height, width});
+        samples = samples || is_samples(name);
+        if (name == "albedo" || name == "normal" || name == "depth")
+            pack_guide(name, name);
+        // Training drops the demodulator together with the split, so an unsplit frame has none.
+        if (name == "diffuse.albedo")
+            pack_guide(name, prepared_.split ? name : "");
+    }
+    if (samples)
+        pack_samples();
+}
+
+std::vector<Tensor> Packer::inputs(int branch) {
+    const int64_t height = tile_.window.height, width = tile_.window.width;
+    const ActiveBranch &active = prepared_.branches[size_t(branch)];
+    std::vector<Tensor> tensors;
+    for (const auto &[name, shape] : model_.graph(*active.branch).inputs) {
+        if (name == "radiance")
+            pack_radiance(branch);
+        if (name == "variance")
+            pack_guide(name, active.variance);
+        if (is_scalar(name)) {
+            tensors.push_back(tensor(name, {1}));
+            *tensors.back().data = scalar(name, branch);
+        } else {
+            tensors.push_back(
+                tensor(name, {is_samples(name) ? samples_ : 1, channels_of(name), height, width}));
+        }
+    }
+    return tensors;
+}
+
+float Packer::scalar(const std::string &input, int branch) const {
+    const std::string buffer = input.substr(0, input.find(".present"));
+    if (input == "exposure")
+        return prepared_.exposure;
+    if (input == "depth_scale")
+        return prepared_.depth_scale;
+    if (buffer == "split")
+        return prepared_.split ? 1.0f : 0.0f;
+    if (buffer == "variance") // a single sample tells nothing of it
+        return frame_.has(prepared_.branches[size_t(branch)].variance) && frame_.samples() != 1 ? 1.0f : 0.0f;
+    return frame_.has(buffer) ? 1.0f : 0.0f;
+}
+
+void Packer::pack_radiance(int branch) {
+    const Planes &values = prepared_.signals[size_t(branch)].values;
+    const Rect &window = tile_.window;
+    float *out = memory_["radiance"].data();
+    for (int c = 0; c < values.channels(); ++c)
+        for (int y = 0; y < window.height; ++y, out += window.width)
+            std::copy_n(values.row(c, window.y + y) + window.x, window.width, out);
+}
+
+/// A buffer that the frame lacks is fed as zeros.
+void Packer::pack_guide(const std::string &input, const std::string &buffer) {
+    const Rect &window = tile_.window, &core = tile_.core;
+    const int channels = channels_of(input);
+    const size_t plane = size_t(window.width) * window.height;
+    float *out = memory_[input].data();
+    if (!frame_.has(buffer)) {
+        std::fill_n(out, size_t(channels) * plane, 0.0f);
+        return;
+    }
+    const ImageView &view = frame_.input(buffer);
+    const bool keeps_sign = buffer == "normal";
+    oneapi::tbb::combinable<Counts> row_counts;
+    for_rows(threads_, window.height, [&](int y) {
+        std::vector<float> pixels(size_t(window.width) * channels);
+        view.load_row(0, window.y + y, window.x, window.width, pixels.data());
+        // The core's part by itself, so that each pixel is counted once.
+        const int left = core.x - window.x, right = left + core.width, row = window.y + y;
+        const auto sanitise = [&](int begin, int end) {
+            return sanitise_guide(pixels.data() + size_t(begin) * channels, end - begin, channels,
+                                  keeps_sign);
+        };
+        sanitise(0, left);
+        const Counts found = sanitise(left, right);
+        sanitise(right, window.width);
+        if (row >= core.y && row < core.y + core.height)
+            row_counts.local() += found;
+        for (int c = 0; c < channels; ++c)
+            for (int x = 0; x < window.width; ++x)
+                out[size_t(c) * plane + size_t(y) * window.width + x] = pixels[size_t(x) * channels + c];
+    });
+    row_counts.combine_each([&](const Counts &part) { counts_ += part; });
+}
+
+void Packer::pack_samples() {
+    oneapi::tbb::combinable<Counts> row_counts;
+    oneapi::tbb::combinable<std::vector<float>> scratch;
+    for_rows(threads_, int(samples_) * tile_.window.height, [&](int row) {
+        pack_sample_row(row / tile_.window.height, row % tile_.window.height, scratch.local(),
+                        row_counts.local());
+    });
+    row_counts.combine_each([&](const Counts &part) { counts_ += part; });
+}
+
+void Packer::pack_sample_row(int64_t sample, int row, std::vector<float> &scratch, Counts &counts) {
+    const Rect &window = tile_.window;
+    const size_t plane = size_t(window.width) * window.height;
+    const auto read = [&](const char *name, int channels, float absent, float *out) {
+        if (model_.manifest().reads(name) && frame_.has(name))
+            frame_.input(name).load_row(sample, window.y + row, window.x, window.width, out);
+        else
+            std::fill_n(out, size_t(window.width) * channels, absent);
+    };
+    const int channels = find_buffer("samples.descriptor")->channels;
+    scratch.resize(size_t(window.width) * (channels + 2));
+    float *descriptor = scratch.data(), *density = descriptor + size_t(window.width) * channels;
+    float *valid = density + window.width;
+    read("samples.descriptor", channels, 0.0f, descriptor);
+    read("samples.density", 1, 0.0f, density);
+    // Without any samples there is one that says nothing.
+    read("samples.valid", 1, frame_.samples() > 0 ? 1.0f : 0.0f, valid);
+
+    for (int x = 0; x < window.width; ++x) {
+        float *values = descriptor + size_t(x) * channels;
+        const bool finite = std::isfinite(density[x]) && std::isfinite(valid[x]) &&
+                            std::all_of(values, values + channels, [](float v) { return std::isfinite(v); });
+        valid[x] = finite && valid[x] > 0.5f ? 1.0f : 0.0f;
+        if (valid[x] == 0) {
+            std::fill_n(values, descriptor_logs, dead_log);
+            std::fill_n(values + descriptor_logs, channels - descriptor_logs, 0.0f);
+            density[x] = 0;
+        }
+        counts.samples_dropped += !finite && in_core(window.x + x, window.y + row);
+    }
+    const auto write = [&](const char *name, int count, const float *in) {
+        if (names_.count(name) == 0)
+            return;
+        float *out = memory_[name].data() + size_t(sample) * count * plane + size_t(row) * window.width;
+        for (int c = 0; c < count; ++c)
+            for (int x = 0; x < window.width; ++x)
+                out[size_t(c) * plane + x] = in[size_t(x) * count + c];
+    };
+    write("samples.descriptor", channels, descriptor);
+    write("samples.density", 1, density);
+    write("samples.valid", 1, valid);
+}
+
+} // namespace pathfold::core

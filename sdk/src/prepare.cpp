@@ -1,0 +1,285 @@
+#include "prepare.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <oneapi/tbb/combinable.h>
+
+#include "error.h"
+
+namespace pathfold::core {
+namespace {
+
+constexpr int bin_size = 16;
+constexpr double dark_bin = 1e-8; // of the brightest
+
+/// Largest radiance: 1e30 after exposure, and small enough for a sum of kernel taps in float32.
+float radiance_cap(float exposure) { return float(std::min(1e30 / double(exposure), 1e32)); }
+
+double luminance(float r, float g, float b) { return 0.212671 * r + 0.715160 * g + 0.072169 * b; }
+
+using RowCounts = oneapi::tbb::combinable<Counts>;
+
+Counts total(RowCounts &counts) {
+    Counts sum;
+    counts.combine_each([&](const Counts &part) { sum += part; });
+    return sum;
+}
+
+/// Reads a view into planes, row by row, through `clean(pixels, y, counts)`.
+template <typename Clean>
+Planes load(const ImageView &view, Threads &threads, Counts &counts, const Clean &clean) {
+    Planes planes(view.channels(), view.height(), view.width());
+    RowCounts row_counts;
+    for_rows(threads, view.height(), [&](int y) {
+        const int channels = view.channels(), width = view.width();
+        std::vector<float> pixels(size_t(width) * size_t(channels));
+        view.load_row(0, y, 0, width, pixels.data());
+        clean(pixels.data(), y, row_counts.local());
+        for (int c = 0; c < channels; ++c)
+            for (int x = 0; x < width; ++x)
+                planes.row(c, y)[x] = pixels[size_t(x) * channels + c];
+    });
+    counts += total(row_counts);
+    return planes;
+}
+
+/// Interleaved pixels of one row, in place.
+void sanitise_radiance(float *pixels, int count, int channels, bool keeps_sign, uint8_t *valid,
+                       Counts &counts) {
+    for (int i = 0; i < count; ++i) {
+        float *pixel = pixels + size_t(i) * channels;
+        if (!std::all_of(pixel, pixel + channels, [](float value) { return std::isfinite(value); })) {
+            std::fill_n(pixel, channels, 0.0f);
+            valid[i] = 0;
+            ++counts.non_finite;
+            continue;
+        }
+        bool negative = false;
+        for (int c = 0; c < channels && !keeps_sign; ++c)
+            if (pixel[c] < 0)
+                pixel[c] = 0, negative = true;
+        counts.negative += negative;
+    }
+}
+
+/// Adds b to a, pixel by pixel.
+void add(Planes &a, const Planes &b, Threads &threads) {
+    for_rows(threads, a.height(), [&](int y) {
+        for (int c = 0; c < a.channels(); ++c)
+            std::transform(a.row(c, y), a.row(c, y) + a.width(), b.row(c, y), a.row(c, y),
+                           std::plus<float>());
+    });
+}
+
+void cap(Planes &planes, float most, Threads &threads, Counts &counts) {
+    RowCounts row_counts;
+    for_rows(threads, planes.height(), [&](int y) {
+        for (int x = 0; x < planes.width(); ++x) {
+            bool capped = false;
+            for (int c = 0; c < planes.channels(); ++c)
+                if (float &value = planes.row(c, y)[x]; std::abs(value) > most)
+                    value = std::copysign(most, value), capped = true;
+            row_counts.local().capped += capped;
+        }
+    });
+    counts += total(row_counts);
+}
+
+/// exp(-mean(ln depth)) over finite depths > 0; 1 where there is none.
+float find_depth_scale(const ImageView &depth, Threads &threads) {
+    struct Sum {
+        double logs = 0;
+        int64_t count = 0;
+    };
+    std::vector<Sum> sums(size_t(depth.height()));
+    for_rows(threads, depth.height(), [&](int y) {
+        std::vector<float> row(size_t(depth.width()));
+        depth.load_row(0, y, 0, depth.width(), row.data());
+        for (float value : row)
+            if (value > 0 && std::isfinite(value))
+                sums[size_t(y)].logs += std::log(double(value)), ++sums[size_t(y)].count;
+    });
+    Sum all;
+    for (const Sum &sum : sums)
+        all.logs += sum.logs, all.count += sum.count;
+    return all.count > 0 ? float(std::exp(-all.logs / double(all.count))) : 1.0f;
+}
+
+/// What the branch divides radiance by, at every pixel.
+Planes load_factor(const Frame &frame, const Branch &branch, Threads &threads) {
+    if (branch.demodulate_by.empty())
+        return {};
+    Counts counted_by_packer;
+    const ImageView &view = frame.input(branch.demodulate_by);
+    return load(view, threads, counted_by_packer, [&](float *pixels, int, Counts &) {
+        sanitise_guide(pixels, view.width(), view.channels(), false);
+        for (int i = 0; i < view.width() * view.channels(); ++i)
+            pixels[i] += branch.epsilon;
+    });
+}
+
+/// The buffers that hold the variance of each radiance.
+std::string variance_of(const std::string &radiance) {
+    return radiance == "color" ? "variance" : radiance + ".variance";
+}
+
+void add_branches(const Frame &frame, const Manifest &manifest, Prepared &prepared, Threads &threads) {
+    const auto load_buffer = [&](const std::string &name) {
+        return load_radiance(frame.input(name), false, prepared.valid, threads, prepared.counts);
+    };
+    if (prepared.split) {
+        for (const Branch &branch : manifest.branches) {
+            const int index = int(prepared.branches.size());
+            prepared.branches.push_back({&branch, branch.radiance, variance_of(branch.radiance),
+                                         load_factor(frame, branch, threads)});
+            prepared.signals.push_back(
+                {branch.radiance, index, !branch.demodulate_by.empty(), false, load_buffer(branch.radiance)});
+        }
+        return;
+    }
+    Planes color = load_buffer(frame.has("color") ? "color" : "diffuse");
+    if (!frame.has("color"))
+        add(color, load_buffer("specular"), threads);
+    prepared.branches.push_back({&manifest.unsplit_branch(), "color", "variance", {}});
+    prepared.signals.push_back({"color", 0, false, false, std::move(color)});
+}
+
+int branch_with(const Prepared &prepared, const std::string &radiance) {
+    const auto found = std::find_if(prepared.branches.begin(), prepared.branches.end(),
+                                    [&](const ActiveBranch &active) { return active.radiance == radiance; });
+    return int(found - prepared.branches.begin());
+}
+
+/// Alpha and layers ride along with the beauty: what is wrong with them masks nothing.
+Planes load_rider(const ImageView &view, bool keeps_sign, Prepared &prepared, Threads &threads) {
+    std::vector<uint8_t> unused(prepared.valid.size());
+    return load_radiance(view, keeps_sign, unused, threads, prepared.counts);
+}
+
+void add_layers(const Frame &frame, Prepared &prepared, Threads &threads) {
+    for (const Layer &layer : frame.layers()) {
+        if (prepared.split) {
+            for (const auto &[part, view] : layer.parts) {
+                const int branch = branch_with(prepared, part);
+                prepared.signals.push_back({layer.name, branch, prepared.signals[size_t(branch)].demodulated,
+                                            true, load_rider(view, true, prepared, threads)});
+            }
+            continue;
+        }
+        auto part = layer.parts.begin();
+        Planes values = load_rider(part->second, true, prepared, threads);
+        if (++part != layer.parts.end())
+            add(values, load_rider(part->second, true, prepared, threads), threads);
+        prepared.signals.push_back({layer.name, 0, false, true, std::move(values)});
+    }
+}
+
+/// A pixel that one part of the beauty masks is masked in all of them.
+void clear_masked(Prepared &prepared, Threads &threads) {
+    for (Signal &signal : prepared.signals)
+        for_rows(threads, signal.values.height(), [&](int y) {
+            const uint8_t *valid = prepared.valid.data() + size_t(y) * signal.values.width();
+            for (int c = 0; c < signal.values.channels(); ++c)
+                for (int x = 0; x < signal.values.width(); ++x)
+                    if (valid[x] == 0)
+                        signal.values.row(c, y)[x] = 0;
+        });
+}
+
+} // namespace
+
+Counts &Counts::operator+=(const Counts &other) {
+    non_finite += other.non_finite;
+    negative += other.negative;
+    capped += other.capped;
+    samples_dropped += other.samples_dropped;
+    repaired += other.repaired;
+    return *this;
+}
+
+Counts sanitise_guide(float *pixels, int count, int channels, bool keeps_sign) {
+    Counts counts;
+    for (int i = 0; i < count; ++i) {
+        bool non_finite = false, negative = false;
+        for (float *value = pixels + size_t(i) * channels, *end = value + channels; value != end; ++value) {
+            if (!std::isfinite(*value))
+                *value = 0, non_finite = true;
+            if (*value < 0 && !keeps_sign)
+                *value = 0, negative = true;
+        }
+        counts.non_finite += non_finite;
+        counts.negative += negative;
+    }
+    return counts;
+}
+
+Planes load_radiance(const ImageView &view, bool keeps_sign, std::vector<uint8_t> &valid, Threads &threads,
+                     Counts &counts) {
+    return load(view, threads, counts, [&](float *pixels, int y, Counts &row_counts) {
+        sanitise_radiance(pixels, view.width(), view.channels(), keeps_sign,
+                          valid.data() + size_t(y) * view.width(), row_counts);
+    });
+}
+
+float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<uint8_t> &valid, float key,
+                    Threads &threads) {
+    const int width = parts[0]->width(), height = parts[0]->height();
+    const int across = (width + bin_size - 1) / bin_size, down = (height + bin_size - 1) / bin_size;
+    std::vector<double> bins(size_t(across) * size_t(down), 0.0);
+    for_rows(threads, down, [&](int j) {
+        for (int i = 0; i < across; ++i) {
+            // Bins of equal size, the way OIDN cuts them, rather than a narrow last one.
+            double sum = 0;
+            int64_t count = 0;
+            for (int y = int(int64_t(j) * height / down); y < int64_t(j + 1) * height / down; ++y)
+                for (int x = int(int64_t(i) * width / across); x < int64_t(i + 1) * width / across; ++x)
+                    if (valid[size_t(y) * width + x] != 0) {
+                        for (const Planes *part : parts)
+                            sum += luminance(part->row(0, y)[x], part->row(1, y)[x], part->row(2, y)[x]);
+                        ++count;
+                    }
+            bins[size_t(j) * across + i] = count > 0 ? sum / double(count) : 0;
+        }
+    });
+    const double brightest = *std::max_element(bins.begin(), bins.end());
+    double logs = 0;
+    int64_t count = 0;
+    for (double bin : bins)
+        if (bin > dark_bin * brightest)
+            logs += std::log2(bin), ++count;
+    if (count == 0)
+        return 1.0f;
+    const double exposure = key / std::exp2(logs / double(count));
+    return float(std::clamp(exposure, 1e-37, 1e37)); // stays a normal float, whatever the image
+}
+
+Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, Threads &threads) {
+    Prepared prepared;
+    prepared.split = frame.split(manifest);
+    prepared.valid.assign(size_t(frame.width()) * size_t(frame.height()), 1);
+    add_branches(frame, manifest, prepared, threads);
+    if (frame.has("alpha")) {
+        const auto unsplit = std::find_if(prepared.branches.begin(), prepared.branches.end(),
+                                          [](const ActiveBranch &active) { return active.branch->unsplit; });
+        prepared.signals.push_back({"alpha", int(unsplit - prepared.branches.begin()), false, false,
+                                    load_rider(frame.input("alpha"), false, prepared, threads)});
+    }
+    add_layers(frame, prepared, threads);
+    clear_masked(prepared, threads);
+
+    prepared.exposure = exposure;
+    if (exposure <= 0) {
+        std::vector<const Planes *> parts;
+        for (size_t i = 0; i < prepared.branches.size(); ++i)
+            parts.push_back(&prepared.signals[i].values);
+        prepared.exposure = auto_exposure(parts, prepared.valid, manifest.exposure_key, threads);
+    }
+    for (Signal &signal : prepared.signals)
+        cap(signal.values, radiance_cap(prepared.exposure), threads, prepared.counts);
+    if (frame.has("depth") && manifest.reads("depth"))
+        prepared.depth_scale = find_depth_scale(frame.input("depth"), threads);
+    return prepared;
+}
+
+} // namespace pathfold::core

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "frame.h"
+#include "image.h"
+#include "parallel.h"
+
+namespace pathfold::core {
+
+/// How many pixels (per buffer) or samples were not as they should be; all were set right.
+struct Counts {
+    int64_t non_finite = 0, negative = 0, capped = 0, samples_dropped = 0, repaired = 0;
+
+    Counts &operator+=(const Counts &other);
+};
+
+/// An image that some branch's kernels are applied to, sanitised.
+struct Signal {
+    std::string name;         ///< the output that it is a part of: "diffuse", "alpha", a layer
+    int branch = 0;           ///< index into Prepared::branches
+    bool demodulated = false; ///< divided by the branch's albedo while it is filtered
+    bool keeps_sign = false;  ///< layers do
+    Planes values;
+};
+
+/// A branch of the model at work on this frame; its radiance is signals[i] of the same index.
+struct ActiveBranch {
+    const Branch *branch = nullptr;
+    std::string radiance, variance; ///< the buffers that its network reads
+    Planes factor;                  ///< what radiance is divided by while it is filtered; empty: nothing
+};
+
+/// Everything of a frame that concerns the image as a whole.
+struct Prepared {
+    bool split = false;
+    std::vector<ActiveBranch> branches;
+    std::vector<Signal> signals;
+    std::vector<uint8_t> valid; ///< per pixel: 0 where the beauty's radiance is not finite
+    float exposure = 1, depth_scale = 1;
+    Counts counts;
+};
+
+/// Reads and sanitises what will be filtered, and takes the frame's statistics. `exposure` 0: from the image.
+Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, Threads &threads);
+
+/// key / log-average luminance over bins of 16 x 16 pixels; bins darker than 1e-8 of the brightest and pixels
+/// that are not valid do not count. 1 for a black image. The color is the sum of `parts`, 3 planes each.
+float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<uint8_t> &valid, float key,
+                    Threads &threads);
+
+/// Reads radiance, alpha or a layer: pixels with a value that is not finite become 0 and are marked 0 in
+/// `valid`, negative values become 0 unless `keeps_sign`.
+Planes load_radiance(const ImageView &view, bool keeps_sign, std::vector<uint8_t> &valid, Threads &threads,
+                     Counts &counts);
+
+/// Makes non-finite values 0, and negative ones too unless `keeps_sign`. Interleaved pixels, in place.
+/// Returns how many pixels were not finite and how many negative.
+Counts sanitise_guide(float *pixels, int count, int channels, bool keeps_sign);
+
+} // namespace pathfold::core

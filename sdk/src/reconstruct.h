@@ -1,0 +1,60 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "parallel.h"
+
+namespace pathfold::core {
+
+/// The pixels that the kernels of one tile reach: the tile and `radius` more on every side. What lies outside
+/// the image, or is masked, is not valid and holds 0.
+class Neighbourhood {
+public:
+    /// Starts afresh with everything 0 and not valid; keeps its memory.
+    void reset(int planes, int height, int width, int radius);
+
+    int planes() const { return planes_; }
+    int height() const { return height_; } ///< of the tile
+    int width() const { return width_; }
+    int radius() const { return radius_; }
+    size_t stride() const { return stride_; } ///< from a row to the next, in floats
+
+    /// First value of a row, at x = -radius; y counts from -radius too.
+    float *row(int plane, int y) { return values_.data() + (size_t(plane) * rows() + y + radius_) * stride_; }
+    const float *row(int plane, int y) const { return const_cast<Neighbourhood *>(this)->row(plane, y); }
+
+    /// 1 where a tap is valid, else 0; laid out as a plane.
+    float *valid_row(int y) { return row(planes_, y); }
+    const float *valid_row(int y) const { return row(planes_, y); }
+
+    /// To be called when all rows are filled.
+    void finish();
+
+    /// Whether every tap of `count` neighbouring pixels is valid.
+    bool all_valid(int x, int y, int count) const;
+
+private:
+    size_t rows() const { return size_t(height_) + 2 * size_t(radius_); }
+
+    int planes_ = 0, height_ = 0, width_ = 0, radius_ = 0;
+    size_t stride_ = 0;
+    std::vector<float> values_;    // planes, then the valid plane
+    std::vector<int32_t> invalid_; // summed over all rows above and all columns to the left
+};
+
+/// Logits of a window, [tap][window height][window width]; points at the tile's first pixel.
+struct Logits {
+    const float *data = nullptr;
+    size_t tap_stride = 0, row_stride = 0;
+};
+
+/// Floats that may be read past the end of a logits array.
+constexpr size_t gather_slack = 64;
+
+/// Applies the kernels: result[plane][y][x] = sum over valid taps of softmax(logits) * value, correlation,
+/// taps row by row, size 2 * radius + 1. A pixel without a valid tap becomes 0.
+void gather(Threads &threads, const Logits &logits, const Neighbourhood &source, float *result);
+
+} // namespace pathfold::core

@@ -1,0 +1,74 @@
+#include "report.h"
+
+#include <algorithm>
+
+#include <nlohmann/json.hpp>
+
+namespace pathfold::core {
+
+using Json = nlohmann::json;
+
+namespace {
+
+Json describe_inputs(const Frame &frame, const Manifest &manifest, bool split) {
+    const std::vector<std::string> unread = unread_buffers(frame, manifest, split);
+    Json used = Json::array(), missing = Json::array();
+    for (const auto &[name, view] : frame.inputs())
+        if (std::find(unread.begin(), unread.end(), name) == unread.end())
+            used.push_back(name);
+    for (const auto *names : {&manifest.requires_, &manifest.uses})
+        for (const std::string &name : *names)
+            if (!frame.has(name))
+                missing.push_back(name);
+    return {{"used", used}, {"unused", unread}, {"missing", missing}};
+}
+
+Json describe_left_out(const std::vector<LeftOut> &left_out) {
+    Json lines = Json::array();
+    for (const LeftOut &item : left_out) {
+        Json line = {{"what", item.what}, {"why", item.why}};
+        if (item.saved_ms >= 0)
+            line["saved_ms"] = item.saved_ms;
+        lines.push_back(line);
+    }
+    return lines;
+}
+
+} // namespace
+
+std::string Report::json(const Frame &frame, const Model &model, const Prepared &prepared) const {
+    const Manifest &manifest = model.manifest();
+    const Json report = {
+        {"model", manifest.name},
+        {"provider", model.provider()},
+        {"threads", model.threads()},
+        {"width", frame.width()},
+        {"height", frame.height()},
+        {"samples_per_pixel", frame.samples()},
+        {"split", prepared.split},
+        {"exposure", prepared.exposure},
+        {"depth_scale", prepared.depth_scale},
+        {"inputs", describe_inputs(frame, manifest, prepared.split)},
+        {"sanitised",
+         {{"non_finite", counts.non_finite},
+          {"negative", counts.negative},
+          {"capped", counts.capped},
+          {"samples_dropped", counts.samples_dropped},
+          {"repaired", counts.repaired}}},
+        {"branches", branches},
+        {"left_out", describe_left_out(left_out)},
+        {"notes", notes},
+        {"tiles", tiles},
+        {"tile", {tile_width, tile_height}},
+        {"ms",
+         {{"prepare", times.prepare},
+          {"pack", times.pack},
+          {"network", times.network},
+          {"reconstruct", times.reconstruct},
+          {"write", times.write},
+          {"total", times.total()}}},
+    };
+    return report.dump();
+}
+
+} // namespace pathfold::core

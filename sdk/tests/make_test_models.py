@@ -1,0 +1,159 @@
+"""Writes the tiny model folders that the SDK's tests run: `make_test_models.py FOLDER`. Weights come from a seed."""
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+Shape = list[int | str]
+BUFFERS: dict[str, Shape] = {
+    "radiance": [1, 3, "H", "W"],
+    "variance": [1, 3, "H", "W"],
+    "albedo": [1, 3, "H", "W"],
+    "normal": [1, 3, "H", "W"],
+    "depth": [1, 1, "H", "W"],
+    "diffuse.albedo": [1, 3, "H", "W"],
+    "samples.descriptor": ["S", 36, "H", "W"],
+    "samples.density": ["S", 1, "H", "W"],
+    "samples.valid": ["S", 1, "H", "W"],
+    "exposure": [1],
+    "depth_scale": [1],
+    "variance.present": [1],
+    "albedo.present": [1],
+    "normal.present": [1],
+    "depth.present": [1],
+    "split.present": [1],
+}
+
+
+def make_graph(inputs: list[str], taps: int, seed: int, spread: float = 1.0) -> onnx.ModelProto:
+    """logits = 3x3 convolution of log(1 + exposure * radiance), every other image squashed, and sample means."""
+    rng = np.random.default_rng(seed)
+    nodes, initializers, features, width = [], [], [], 0
+
+    def constant(name: str, values: object) -> str:
+        initializers.append(numpy_helper.from_array(np.asarray(values), name))
+        return name
+
+    one = constant("one", np.float32(1))
+    for name in inputs:
+        shape = BUFFERS[name]
+        out = name + ":feature"
+        if len(shape) == 1:
+            continue
+        if name == "radiance":
+            nodes.append(helper.make_node("Mul", [name, "exposure"], ["exposed"]))
+            nodes.append(helper.make_node("Add", ["exposed", one], ["above"]))
+            nodes.append(helper.make_node("Log", ["above"], [out]))
+        elif name.startswith("samples."):
+            nodes.append(helper.make_node("Tanh", [name], [name + ":squashed"]))
+            nodes.append(helper.make_node("ReduceMean", [name + ":squashed", constant(name + ":axes", [0])], [out]))
+        else:
+            nodes.append(helper.make_node("Tanh", [name], [out]))
+        features.append(out)
+        width += int(shape[1])
+    nodes.append(helper.make_node("Concat", features, ["features"], axis=1))
+    weights = rng.normal(0, spread / np.sqrt(9 * width), (taps, width, 3, 3)).astype(np.float32)
+    constant("weights", weights)
+    nodes.append(helper.make_node("Conv", ["features", "weights"], ["plain"], pads=[1, 1, 1, 1]))
+    last = "plain"
+    for name in inputs:  # scalars shift the logits of some taps, so that they matter
+        if len(BUFFERS[name]) > 1 or name == "exposure":
+            continue
+        slope = rng.normal(0, 0.3, (1, taps, 1, 1)).astype(np.float32)
+        nodes.append(helper.make_node("Tanh", [name], [name + ":bounded"]))
+        nodes.append(helper.make_node("Mul", [name + ":bounded", constant(name + ":slope", slope)], [name + ":shift"]))
+        nodes.append(helper.make_node("Add", [last, name + ":shift"], [name + ":sum"]))
+        last = name + ":sum"
+    nodes.append(helper.make_node("Identity", [last], ["logits"]))
+    ports = [helper.make_tensor_value_info(name, TensorProto.FLOAT, BUFFERS[name]) for name in inputs]
+    result = helper.make_tensor_value_info("logits", TensorProto.FLOAT, [1, taps, "H", "W"])
+    graph = helper.make_graph(nodes, "network", ports, [result], initializers)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    onnx.checker.check_model(model)
+    return model
+
+
+def write_model(
+    folder: Path,
+    graphs: dict[str, tuple[onnx.ModelProto, list[str]]],
+    branches: list[dict[str, object]],
+    size: int,
+    requires: list[str],
+    uses: list[str],
+) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    entries = {}
+    for name, (model, inputs) in graphs.items():
+        data = model.SerializeToString()
+        (folder / f"{name}.onnx").write_bytes(data)
+        entries[name] = {
+            "file": f"{name}.onnx",
+            "sha256": hashlib.sha256(data).hexdigest(),
+            "inputs": {key: BUFFERS[key] for key in inputs},
+            "outputs": {"logits": [1, size * size, "H", "W"]},
+        }
+    manifest = {
+        "format": 1,
+        "name": folder.name,
+        "description": "random weights, for tests",
+        "license": "Apache-2.0",
+        "requires": requires,
+        "uses": uses,
+        "graphs": entries,
+        "reconstruction": {"operator": "gather", "size": size, "branches": branches},
+        "exposure": {"rule": "log-average", "key": 0.18},
+        "tile": {"alignment": 4, "overlap": 4},
+        "samples_per_pixel": {"min": 1, "max": 64},
+        "precision": "fp32",
+        "training": {},
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2))
+
+
+def make_single(folder: Path, size: int, spread: float = 1.0) -> None:
+    """One branch that reads color alone."""
+    inputs = ["radiance", "exposure"]
+    branch = {"name": "color", "graph": "color", "radiance": "color", "unsplit": True}
+    graphs = {"color": (make_graph(inputs, size * size, seed=size, spread=spread), inputs)}
+    write_model(folder, graphs, [branch], size, ["color"], [])
+
+
+def make_split(folder: Path, size: int, samples: bool) -> None:
+    """Two branches that read every buffer there is."""
+    inputs = [name for name in BUFFERS if samples or not name.startswith("samples.")]
+    branches: list[dict[str, object]] = [
+        {
+            "name": "diffuse",
+            "graph": "diffuse",
+            "radiance": "diffuse",
+            "demodulate": {"by": "diffuse.albedo", "epsilon": 0.00316},
+        },
+        {"name": "specular", "graph": "specular", "radiance": "specular", "unsplit": True},
+    ]
+    graphs = {
+        name: (make_graph(inputs, size * size, seed), inputs) for seed, name in enumerate(["diffuse", "specular"])
+    }
+    uses = ["diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth"]
+    uses += ["variance", "diffuse.variance", "specular.variance"]
+    requires = ["color"]
+    if samples:
+        requires += ["samples.descriptor", "samples.density"]
+        uses.append("samples.valid")
+    write_model(folder, graphs, branches, size, requires, uses)
+
+
+def main(root: Path) -> None:
+    make_single(root / "single-3", 3)
+    make_single(root / "single-21", 21)
+    make_single(root / "steep-5", 5, spread=1e5)
+    make_split(root / "split-5", 5, samples=False)
+    make_split(root / "samples-5", 5, samples=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
