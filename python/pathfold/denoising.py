@@ -154,8 +154,7 @@ def as_array(name: str, value: Array) -> NDArray[Any]:
         return value
     if value.dtype.kind == "f":  # float64, or foreign byte order
         return value.astype(np.float32)
-    raise PathfoldError(
-        "invalid-argument",
+    raise _invalid(
         f"{name}: given {value.dtype} values; pass linear float32 or float16, say array.astype('float32')",
     )
 
@@ -169,12 +168,17 @@ def _from_foreign(name: str, value: Array) -> NDArray[Any]:
                 pass  # Mitsuba tensors on a GPU and read-only exports still have __array__
         return np.asarray(value)
     except Exception as error:
-        raise PathfoldError(
-            "invalid-argument",
+        raise _invalid(
             f"{name}: a {type(value).__module__}.{type(value).__qualname__} cannot be read as a host array "
             f"({str(error).splitlines()[0] if str(error) else type(error).__name__}); "
             "pass NumPy, or torch after .detach().cpu()",
         ) from error
+
+
+def _invalid(message: str) -> PathfoldError:
+    error = PathfoldError(message)
+    error.code = "invalid-argument"
+    return error
 
 
 @lru_cache(maxsize=1)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
@@ -87,8 +88,7 @@ class ImageFile:
     def read(self, part: int, channels: Sequence[int]) -> NDArray[np.float32]:
         """Channels of a part, height x width x len(channels), float32."""
         first, last = min(channels), max(channels) + 1
-        pixels = self._input.read_image(part, 0, first, last, oiio.FLOAT)
-        self._check(pixels)
+        pixels = self._checked(self._input.read_image(part, 0, first, last, oiio.FLOAT))
         wanted = [number - first for number in channels]
         return pixels if wanted == list(range(last - first)) else np.ascontiguousarray(pixels[..., wanted])
 
@@ -104,12 +104,12 @@ class ImageFile:
             rows = self._input.read_scanlines(
                 part, 0, spec.y + row, spec.y + last, spec.z, 0, spec.nchannels, oiio.FLOAT
             )
-            self._check(rows)
-            yield row, rows.reshape(last - row, spec.width, spec.nchannels)
+            yield row, self._checked(rows).reshape(last - row, spec.width, spec.nchannels)
 
-    def _check(self, pixels: NDArray[np.float32] | None) -> None:
+    def _checked(self, pixels: NDArray[Any] | None) -> NDArray[np.float32]:
         if pixels is None:
             raise ImageError(f"{self.path}: damaged: {_first_line(self._input.geterror())}")
+        return pixels
 
     def save_as(
         self,
@@ -226,7 +226,7 @@ class _Writer:
 
     def __init__(self, path: Path, specs: Sequence[oiio.ImageSpec]) -> None:
         self._path, self._specs, self._part = path, specs, -1
-        self._output = oiio.ImageOutput.create(str(path))
+        self._output: Any = oiio.ImageOutput.create(str(path))
         if self._output is None:
             raise OutputError(f"{path}: {_first_line(oiio.geterror())}")
 

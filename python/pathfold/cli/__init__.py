@@ -46,14 +46,4 @@ def _root(
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
-    try:
-        sys.exit(app(standalone_mode=False, prog_name="pathfold"))
-    except Exception as error:
-        code = console.exit_code(error)
-        if code is None:
-            raise
-        console.complain(error)
-        sys.exit(code)
-    except KeyboardInterrupt:
-        console.complain("interrupted; nothing was written")
-        sys.exit(console.INTERRUPTED)
+    sys.exit(console.run(app))

@@ -56,6 +56,21 @@ def exit_code(error: Exception) -> int | None:
     return next((code for kind, code in kinds.items() if isinstance(error, kind)), None)
 
 
+def run(app: typer.Typer) -> int:
+    """Run a typer application and return its exit code; expected errors become one line on stderr."""
+    try:
+        return app(standalone_mode=False) or 0
+    except KeyboardInterrupt:
+        complain("interrupted; nothing was written")
+        return INTERRUPTED
+    except Exception as error:
+        code = exit_code(error)
+        if code is None:
+            raise
+        complain(error)
+        return code
+
+
 @contextmanager
 def progress(title: str, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """A bar on stderr that is told the fraction done; silent where stderr is no terminal."""

@@ -74,7 +74,7 @@ def render(
         clean["specular"] = result.specular
         buffers |= {name: pixels for name, pixels in clean.items() if pixels is not None}
         samples = {}
-    metadata = {
+    metadata: dict[str, str | int | float] = {
         "pathfold:version": version(),
         "pathfold:spp": spp,
         "pathfold:seed": seed,

@@ -1,53 +1,51 @@
-"""The peer that figures are compared with: Intel Open Image Denoise, through the `pyoidn` wheel (`bench` extra)."""
+"""Open Image Denoise, called as its users call it."""
 
-from __future__ import annotations
-
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
-QUALITIES = {"high": "OIDN_QUALITY_HIGH", "balanced": "OIDN_QUALITY_BALANCED", "fast": "OIDN_QUALITY_FAST"}
 
 
-class Oidn:
-    """OIDN's ray-tracing filter on HDR color with albedo and normal, H x W x 3 float32.
+def oidn(color: Image, albedo: Image, normal: Image) -> Image:
+    """Quality high with the noisy guides as they are: what most use."""
+    denoised: Image = _pyoidn().denoise(color, albedo, normal, hdr=True, quality="high")
+    return denoised
 
-    `prefilter` first denoises albedo and normal with OIDN's own networks and then sets cleanAux: its best quality, at
-    several times the cost. Raises ModuleNotFoundError naming the `bench` extra, RuntimeError with OIDN's message.
-    """
 
-    def __init__(self, quality: str = "high", prefilter: bool = False) -> None:
-        try:
-            import pyoidn
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError("OIDN needs pyoidn: pip install 'pathfold[bench]'", name="pyoidn") from error
-        self.oidn, self.prefilter = pyoidn, prefilter
-        self.quality = getattr(pyoidn, QUALITIES[quality])
-        self.device = pyoidn.Device()
-        self.device.commit()
+def oidn_prefiltered(color: Image, albedo: Image, normal: Image) -> Image:
+    """Quality high with guides denoised first and `cleanAux`: its best."""
+    albedo, normal = _prefiltered("albedo", albedo), _prefiltered("normal", normal)
+    denoised: Image = _pyoidn().denoise(color, albedo, normal, hdr=True, clean_aux=True, quality="high")
+    return denoised
 
-    def __call__(self, color: Image, albedo: Image, normal: Image) -> Image:
-        """The denoised colour; inputs are not changed."""
-        albedo = np.clip(albedo, 0.0, 1.0)
-        if self.prefilter:
-            albedo = self.run({"albedo": albedo})
-            normal = self.run({"normal": normal})
-        return self.run({"color": color, "albedo": albedo, "normal": normal}, hdr=True, cleanAux=self.prefilter)
 
-    def run(self, images: dict[str, Image], **flags: Any) -> Image:
-        arrays = {name: np.ascontiguousarray(image, np.float32) for name, image in images.items()}
-        output = np.zeros_like(next(iter(arrays.values())))
-        with self.oidn.Filter(self.device, "RT") as rt:
-            for name, image in arrays.items():
-                rt.set_image(name, image, self.oidn.OIDN_FORMAT_FLOAT3)
-            rt.set_image("output", output, self.oidn.OIDN_FORMAT_FLOAT3)
-            for name, value in flags.items():
-                rt.set_bool(name, value)
-            rt.set_quality(self.quality)
-            rt.commit()
-            rt.execute()
-        if (message := self.device.get_error()) is not None:
-            raise RuntimeError(f"OIDN: {message}")
-        return output
+def _prefiltered(name: str, guide: Image) -> Image:
+    pyoidn = _pyoidn()
+    clean = np.empty_like(guide)
+    with pyoidn.Filter(_device(), "RT") as prefilter:
+        prefilter.set_image(name, np.ascontiguousarray(guide), pyoidn.OIDN_FORMAT_FLOAT3)
+        prefilter.set_image("output", clean, pyoidn.OIDN_FORMAT_FLOAT3)
+        prefilter.set_quality(pyoidn.OIDN_QUALITY_HIGH)
+        prefilter.commit()
+        prefilter.execute()
+    if error := _device().get_error():
+        raise RuntimeError(f"Open Image Denoise: {error}")
+    return clean
+
+
+@lru_cache(maxsize=1)
+def _device() -> Any:
+    device = _pyoidn().Device()
+    device.commit()
+    return device
+
+
+def _pyoidn() -> Any:
+    try:
+        import pyoidn
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("comparing with OIDN needs pyoidn: pip install 'pathfold[bench]'") from error
+    return pyoidn

@@ -1,0 +1,230 @@
+"""The demo: python -m pathfold.report.demo [--out DIR] [--spp 8].
+
+Renders the still life of scene.py with path descriptors, denoises it with the shipped models and with Open Image
+Denoise, renders a reference with Mitsuba's own path tracer, and writes table.md, results.json, picture.png and
+index.html. Times are medians after a warm-up; the denoisers take turns.
+"""
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from pathfold import Denoiser, metrics
+from pathfold.cli import console
+from pathfold.cli.render import load_mitsuba, parse_size
+from pathfold.report import Method, page, peers, picture, tables
+
+MODELS = ("kpcn-vanilla", "kpcn-manifold")
+ROUNDS = 5
+CHUNK = 32  # samples per pixel and call of the reference
+# Where to look closely, as shares of the frame: left, top, width (the height follows).
+CROPS = ((0.12, 0.18, 0.16), (0.5, 0.3, 0.16), (0.74, 0.42, 0.16))
+SEED, REFERENCE_SEED = 1, 100_000
+
+Image = NDArray[np.float32]
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("out/demo"),
+    spp: Annotated[int, typer.Option(min=2, help="Samples per pixel of the noisy picture.")] = 8,
+    size: Annotated[str, typer.Option(metavar="WxH")] = "480x320",
+    reference_spp: Annotated[int, typer.Option(min=2, help="Of both halves together, at most.")] = 2048,
+    reference_seconds: Annotated[float, typer.Option(help="The reference stops here with what it has.")] = 120,
+) -> None:
+    """Render, denoise, compare; write a table, a picture and a page."""
+    start = perf_counter()
+    denoisers = {name: Denoiser(name) for name in MODELS}
+    load_mitsuba("llvm_ad_rgb")
+    from pathfold.report.scene import MAX_DEPTH, still_life
+
+    width, height = parse_size(size) or (480, 320)
+    scene = still_life(width, height)
+    console.say(f"rendering {width}x{height} at {spp} spp")
+    plain_ms, _ = timed(lambda: traced(scene, spp, MAX_DEPTH, False))
+    render_ms, (buffers, samples) = timed(lambda: traced(scene, spp, MAX_DEPTH, True))
+
+    console.say("denoising")
+    guides = (buffers["color"], buffers["albedo"], buffers["normal"])
+    entries: dict[str, tuple[float, Callable[[], Image]]] = {
+        "OIDN": (plain_ms, lambda: peers.oidn(*guides)),
+        "OIDN, prefiltered": (plain_ms, lambda: peers.oidn_prefiltered(*guides)),
+    }
+    for name, denoiser in denoisers.items():
+        reads = any(buffer.startswith("samples.") for buffer in denoiser.model.requires)
+        entries[name] = (render_ms if reads else plain_ms, apply(denoiser, buffers | samples))
+    denoised = [
+        Method(name, image, render_ms=entries[name][0], denoise_ms=ms)
+        for name, (ms, image) in in_turns({name: call for name, (_, call) in entries.items()}).items()
+    ]
+    same_time = equal_time(scene, spp, denoised[-1].total_ms or 0)
+    noisy = Method(f"{spp} spp", buffers["color"], render_ms=plain_ms)
+    methods = [noisy, same_time, *denoised]
+
+    console.say("rendering the reference")
+    a, b, reached = reference(scene, reference_spp, reference_seconds)
+    mean = ((a + b) / 2).astype(np.float32)
+    for method in methods:
+        method.errors = metrics.compare(method.image, mean) | {"rell2": metrics.rell2_halves(method.image, a, b)}
+    own_error = metrics.reference_rell2(a, b)
+    truth = Method("reference", mean, note=f"{reached} spp")
+    write(out, [*methods, truth], spp, notes_of(methods, own_error, reached), facts_of(scene, spp, MAX_DEPTH))
+    show(methods, out, perf_counter() - start)
+
+
+def traced(scene: Any, spp: int, max_depth: int, descriptors: bool) -> tuple[dict[str, Image], dict[str, Any]]:
+    """Per-pixel buffers and, where asked for, the block of samples."""
+    from pathfold.mitsuba import trace
+
+    samples = trace(scene, spp, SEED, max_depth, descriptors=descriptors)
+    buffers = samples.reduce()
+    buffers.pop("dropped")
+    block = {"samples.descriptor": samples.descriptor, "samples.density": samples.density} if descriptors else {}
+    return buffers, block
+
+
+def apply(denoiser: Denoiser, buffers: dict[str, Any]) -> Callable[[], Image]:
+    known = {*denoiser.model.requires, *denoiser.model.uses, "color"}
+    read = {name: pixels for name, pixels in buffers.items() if name in known}
+    return lambda: denoiser.run_buffers(read).color
+
+
+def timed(call: Callable[[], Any], rounds: int = 3) -> tuple[float, Any]:
+    """Median milliseconds after one warm-up call, and the last result."""
+    call()
+    took = []
+    for _ in range(rounds):
+        start = perf_counter()
+        result = call()
+        took.append(1000 * (perf_counter() - start))
+    return median(took), result
+
+
+def in_turns(calls: dict[str, Callable[[], Image]]) -> dict[str, tuple[float, Image]]:
+    """Median milliseconds of every call and its result; the calls take turns, so that a busy moment hits all."""
+    images = {name: call() for name, call in calls.items()}
+    took: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(ROUNDS):
+        for name, call in calls.items():
+            start = perf_counter()
+            call()
+            took[name].append(1000 * (perf_counter() - start))
+    return {name: (median(took[name]), images[name]) for name in calls}
+
+
+def equal_time(scene: Any, spp: int, budget_ms: float) -> Method:
+    """Mitsuba's own path tracer with as many samples as take `budget_ms`."""
+    import mitsuba as mi
+
+    def render(count: int) -> Image:
+        return np.array(mi.render(scene, spp=count, seed=mi.UInt32(SEED)), np.float32)[..., :3]
+
+    ms, _ = timed(lambda: render(spp))
+    count = max(1, round(spp * budget_ms / ms))
+    start = perf_counter()
+    image = render(count)
+    return Method(f"{count} spp, same time", image, render_ms=1000 * (perf_counter() - start))
+
+
+def reference(scene: Any, spp: int, seconds: float) -> tuple[Image, Image, int]:
+    """Two independent halves by Mitsuba's path tracer, and the samples per pixel of both together."""
+    import mitsuba as mi
+
+    start = perf_counter()
+    sums: list[Any] = [0.0, 0.0]
+    rounds, chunk = max(1, spp // (2 * CHUNK)), min(CHUNK, max(1, spp // 2))
+    with console.progress("reference") as bar:
+        for done in range(rounds):
+            for half in range(2):
+                image = mi.render(scene, spp=chunk, seed=mi.UInt32(REFERENCE_SEED + 2 * done + half))
+                sums[half] = sums[half] + np.array(image, np.float64)[..., :3]
+            bar((done + 1) / rounds)
+            if perf_counter() - start > seconds:
+                break
+    a, b = ((total / (done + 1)).astype(np.float32) for total in sums)
+    return a, b, 2 * chunk * (done + 1)
+
+
+def notes_of(methods: list[Method], own_error: float, spp: int) -> list[str]:
+    """What a reader must know to judge the table."""
+    notes = [
+        f"RelL2 is taken against two independent halves of the reference ({spp} spp together), whose own noise "
+        f"drops out; the reference's own RelL2 is {own_error:.5f}. The other three see the whole reference.",
+        "Rendering for the OIDN and vanilla rows gives buffers alone; for the manifold row it gives path descriptors "
+        "as well. OIDN runs at quality high: with the noisy guides, and with guides prefiltered and cleanAux.",
+    ]
+    best = min(method.errors["rell2"] for method in methods)
+    if best < 20 * own_error:
+        notes.append("The best method comes within 20 times the reference's own error: small differences are noise.")
+    return notes
+
+
+def facts_of(scene: Any, spp: int, max_depth: int) -> dict[str, str]:
+    """How and on what it was made."""
+    width, height = scene.sensors()[0].film().size()
+    packages = ("mitsuba", "onnxruntime", "pyoidn")
+    return {
+        "Scene": "a still life made of formulas, CC0 1.0 (pathfold.report.scene)",
+        "Picture": f"{width}x{height}, {spp} samples per pixel, paths of up to {max_depth} segments, seed {SEED}",
+        "Machine": f"{processor()}, {os.cpu_count()} cores",
+        "Software": ", ".join([f"pathfold {version('pathfold')}", *(f"{name} {version(name)}" for name in packages)]),
+        "Display": "(s x / (1 + s x))^(1/2.2), the reference's log-average luminance at 0.18",
+        "Made by": "python -m pathfold.report.demo",
+    }
+
+
+def processor() -> str:
+    """The processor's name, as far as the system tells."""
+    listing = Path("/proc/cpuinfo")
+    lines = listing.read_text().splitlines() if listing.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def write(out: Path, methods: list[Method], spp: int, notes: list[str], facts: dict[str, str]) -> None:
+    """Write the four files; `methods` ends with the reference."""
+    out.mkdir(parents=True, exist_ok=True)
+    measured, truth = methods[:-1], methods[-1]
+    scale = metrics.exposure(truth.image)
+    height, width = truth.image.shape[:2]
+    crops = [(int(x * width), int(y * height), int(w * width), int(w * width)) for x, y, w in CROPS]
+    picture.save(out / "picture.png", methods, crops, scale)
+    page.save(
+        out / "index.html",
+        methods,
+        scale,
+        title=f"A still life at {spp} samples per pixel",
+        lead="Traced with Mitsuba 3 and denoised on the CPU. Left and right are yours to choose; "
+        "drag the divider, or use the arrow keys on the slider.",
+        notes=notes,
+        facts=facts,
+        before=methods[0].name,
+        after=measured[-1].name,
+    )
+    text = "\n\n".join([tables.markdown(measured), *notes, *(f"{name}: {value}" for name, value in facts.items())])
+    (out / "table.md").write_text(text + "\n", encoding="utf-8")
+    data = {"methods": tables.records(measured), "notes": notes, "facts": facts}
+    (out / "results.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+
+
+def show(methods: list[Method], out: Path, seconds: float) -> None:
+    from rich.console import Console
+
+    Console(width=112).print(tables.terminal(methods, ""))
+    console.say(f"{seconds:.0f} s; see {out / 'index.html'}, {out / 'picture.png'}, {out / 'table.md'}")
+
+
+if __name__ == "__main__":
+    program = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    program.command()(demo)
+    sys.exit(console.run(program))

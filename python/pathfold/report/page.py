@@ -1,0 +1,73 @@
+"""The page of a report: one HTML file that needs nothing else, with a before/after slider and a magnifier."""
+
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+
+from pathfold import metrics
+from pathfold.images import replacing
+from pathfold.report import tables
+from pathfold.report.method import METRICS, Method, best
+from pathfold.report.picture import caption_of, png
+
+
+def save(
+    path: Path,
+    methods: Sequence[Method],
+    scale: float,
+    *,
+    title: str,
+    lead: str,
+    notes: Sequence[str],
+    facts: Mapping[str, str],
+    before: str,
+    after: str,
+) -> None:
+    """Write the page. `methods` ends with the reference; `before` and `after` name what the slider starts with."""
+    from jinja2 import Environment
+
+    template = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(
+        (files(__package__) / "page.html").read_text(encoding="utf-8")
+    )
+    reference = methods[-1].image
+    views = [
+        {
+            "name": method.name,
+            "caption": caption_of(method),
+            "image": _data(png(metrics.display(method.image, scale))),
+            "error": _data(png(metrics.flip_map(method.image, reference))),
+        }
+        for method in methods
+    ]
+    measured = list(methods[:-1])
+    rows = [
+        [(text, column in _wins(measured, method)) for column, text in enumerate(row)]
+        for method, row in zip(measured, tables.cells(measured), strict=True)
+    ]
+    names = [method.name for method in methods]
+    height, width = reference.shape[:2]
+    text = template.render(
+        title=title,
+        lead=lead,
+        notes=notes,
+        facts=facts,
+        views=views,
+        header=tables.HEADER,
+        rows=rows,
+        width=width,
+        height=height,
+        before=names.index(before),
+        after=names.index(after),
+    )
+    with replacing(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def _wins(methods: list[Method], method: Method) -> set[int]:
+    """The table columns in which a method is the best one."""
+    return {column for column, metric in enumerate(METRICS, start=1) if best(methods, metric) is method}
+
+
+def _data(content: bytes) -> str:
+    return f"data:image/png;base64,{b64encode(content).decode('ascii')}"
