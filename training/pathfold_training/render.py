@@ -132,13 +132,15 @@ def plan(
 
 def _entropy(seed: int, *words: object) -> NDArray[np.uint32]:
     """Four 32-bit seeds that belong to these words."""
-    return np.random.SeedSequence([seed, zlib.crc32("/".join(map(str, words)).encode())]).generate_state(4)
+    words_hash = zlib.crc32("/".join(map(str, words)).encode())
+    return np.random.SeedSequence([seed, words_hash]).generate_state(4).astype(np.uint32)
 
 
 def _run(out: Path, tasks: list[Task], workers: int) -> Iterator[tuple[Task, store.Line | None]]:
     """Each view in a process of its own: scenes are freed for good, and a crash costs that view only."""
     context = multiprocessing.get_context("spawn")
-    waiting, running = list(reversed(tasks)), {}
+    waiting = list(reversed(tasks))
+    running: dict[Any, tuple[Any, Task, Any, float]] = {}
     try:
         while waiting or running:
             while waiting and len(running) < workers:

@@ -35,7 +35,7 @@ def write_view(folder: Path, line: Line, tensors: Arrays, extra: dict[str, str] 
     """
     path = view_path(folder, line["id"])
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
+    partial = path.with_suffix(f".{os.getpid()}.partial")  # a killed run may have left a process at the same view
     save_file(
         {k: np.ascontiguousarray(v) for k, v in tensors.items()}, partial, {"view": json.dumps(line)} | (extra or {})
     )

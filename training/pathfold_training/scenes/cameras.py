@@ -73,10 +73,8 @@ def cast(scene: mi.Scene, origin: Vector, direction: Vector) -> Survey:
     """Rays from one point (or N) along N directions."""
     count = len(direction)
     origin = np.broadcast_to(origin, (count, 3))
-    as_point, as_vector = (
-        kind(*a.T.astype(np.float32)) for kind, a in ((mi.Point3f, origin), (mi.Vector3f, direction))
-    )
-    hit = scene.ray_intersect_preliminary(mi.Ray3f(as_point, as_vector))
+    start, way = mi.Point3f(*origin.T.astype(np.float32)), mi.Vector3f(*direction.T.astype(np.float32))
+    hit = scene.ray_intersect_preliminary(mi.Ray3f(start, way))
     distance = np.where(np.array(hit.is_valid()), np.array(hit.t), np.inf)
     shape = np.array(dr.reinterpret_array(mi.UInt32, hit.shape))
     finite = np.where(np.isfinite(distance), distance, 0)

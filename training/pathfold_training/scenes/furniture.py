@@ -42,7 +42,8 @@ def item(stage: Stage, placement: Array, size: float, bsdf: mi.BSDF | None = Non
 
 def scatter(stage: Stage, placement: Array, area: tuple[float, float], count: int, size: tuple[float, float]) -> None:
     """Objects spread over an area, kept apart where there is room."""
-    rng, placed = stage.rng, []
+    rng = stage.rng
+    placed: list[tuple[float, float, float]] = []
     for _ in range(count):
         height = rng.uniform(*size)
         for _ in range(12):
@@ -106,8 +107,8 @@ def sofa(stage: Stage, placement: Array) -> None:
     soft = meshes.superquadric(0.25, 0.25, 40)
     seats = int(rng.integers(1, 4))
     wide = 0.7 * seats
-    parts = [((wide / 2, 0.42, 0.14), (0, 0, 0.28)), ((wide / 2, 0.13, 0.3), (0, 0.42, 0.6))]
-    parts += [((0.1, 0.45, 0.3), (s * (wide / 2 + 0.08), 0, 0.36)) for s in (-1, 1)]
+    parts = [((wide / 2, 0.42, 0.14), (0.0, 0.0, 0.28)), ((wide / 2, 0.13, 0.3), (0.0, 0.42, 0.6))]
+    parts += [((0.1, 0.45, 0.3), (s * (wide / 2 + 0.08), 0.0, 0.36)) for s in (-1, 1)]
     for half, at in parts:
         stage.mesh(soft, fabric, placement @ frame(*at) @ frame(scale=np.array(half)))
     for i in range(seats):

@@ -78,7 +78,8 @@ def choose(
 def _unlike(a: Camera, b: Camera, scale: float) -> bool:
     """Views differ when the camera moved by a fifth of the scene's extent or turned by 25 degrees."""
     turn = [(c.target - c.origin) / np.linalg.norm(c.target - c.origin) for c in (a, b)]
-    return np.linalg.norm(a.origin - b.origin) > 0.2 * scale or float(turn[0] @ turn[1]) < np.cos(np.radians(25))
+    moved = np.linalg.norm(a.origin - b.origin) > 0.2 * scale
+    return bool(moved or turn[0] @ turn[1] < np.cos(np.radians(25)))
 
 
 class _Around:

@@ -31,6 +31,11 @@ def frame(x: float = 0, y: float = 0, z: float = 0, yaw: float = 0, scale: float
     return matrix
 
 
+def at(xy: Array, z: float = 0, yaw: float = 0) -> Array:
+    """A frame at a point of the floor."""
+    return frame(float(xy[0]), float(xy[1]), z, yaw)
+
+
 def to_shape(surface: Surface, bsdf: mi.BSDF, placement: Array) -> mi.Mesh:
     """The surface as a Mitsuba mesh, placed by a 4 x 4 matrix."""
     props = mi.Properties()
@@ -180,7 +185,7 @@ def leaves(rng: Generator, count: int = 120) -> Surface:
     axes = rng.normal(size=(count, 2, 3))
     axes[:, 1] -= axes[:, 0] * ((axes[:, 0] * axes[:, 1]).sum(-1) / (axes[:, 0] ** 2).sum(-1))[:, None]
     axes *= rng.uniform(0.1, 0.22, (count, 1, 1)) / np.linalg.norm(axes, axis=-1, keepdims=True)
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    corners = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
     vertices = centre[:, None] + [0, 0, 1] + np.einsum("ck,nkd->ncd", corners, axes)
     faces = (np.arange(count)[:, None, None] * 4 + [[0, 1, 2], [0, 2, 3]]).reshape(-1, 3)
-    return Surface(vertices.reshape(-1, 3), faces, np.tile(corners * 0.5 + 0.5, (count, 1)), False)
+    return Surface(vertices.reshape(-1, 3), faces.astype(np.int64), np.tile(corners * 0.5 + 0.5, (count, 1)), False)

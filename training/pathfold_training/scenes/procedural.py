@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import mitsuba as mi
 import numpy as np
 from numpy.random import Generator
 
 from . import furniture, materials, meshes, textures
 from .cameras import Camera
 from .meshes import Array, frame
+from .meshes import at as floor_at
 from .stage import Stage, warm
 
 UP = np.array([0.0, 0, 1])
@@ -62,7 +64,7 @@ def _sky(stage: Stage) -> None:
 
 
 def _wall(
-    stage: Stage, place: Array, length: float, height: float, paint: object, openings: list[tuple[float, ...]]
+    stage: Stage, place: Array, length: float, height: float, paint: mi.BSDF, openings: list[tuple[float, ...]]
 ) -> None:
     """A wall along x with its inner face on y = 0 and openings (x0, x1, z0, z1), from left to right."""
     thick = 0.15
@@ -90,7 +92,7 @@ def _windows(stage: Stage, place: Array, length: float, height: float) -> list[t
     dressing, glazed = rng.uniform(), rng.uniform() < 0.3
     bars = stage.material("matte")
     pane = materials.pane() if glazed else None
-    openings = []
+    openings: list[tuple[float, ...]] = []
     for i in range(count):
         middle = (i + 0.5) * cell - length / 2
         openings.append((middle - wide / 2, middle + wide / 2, low, high))
@@ -110,7 +112,7 @@ def _windows(stage: Stage, place: Array, length: float, height: float) -> list[t
     return openings
 
 
-def _next_room(stage: Stage, place: Array, paint: object, height: float) -> list[tuple[float, ...]]:
+def _next_room(stage: Stage, place: Array, paint: mi.BSDF, height: float) -> list[tuple[float, ...]]:
     """A door ajar, and behind it a bright room that lights ours through the gap."""
     rng = stage.rng
     x = rng.uniform(-0.6, 0.6)
@@ -137,15 +139,15 @@ def _lamps(stage: Stage, size: Array, mode: str) -> None:
     x, y, z = size
     if mode == "panel":
         for _ in range(int(rng.integers(1, 4))):
-            at = frame(*rng.uniform(-0.35, 0.35, 2) * [x, y], z)
+            at = floor_at(rng.uniform(-0.35, 0.35, 2) * [x, y], z)
             furniture.panel(stage, at, tuple(rng.uniform(0.2, 1.2, 2)), rng.uniform(20, 80))
     elif mode == "pendant":
         for _ in range(int(rng.integers(1, 4))):
-            furniture.pendant(stage, frame(*rng.uniform(-0.3, 0.3, 2) * [x, y], z), rng.uniform(15, 60))
+            furniture.pendant(stage, floor_at(rng.uniform(-0.3, 0.3, 2) * [x, y], z), rng.uniform(15, 60))
     elif mode == "floor":
         for _ in range(int(rng.integers(1, 3))):
             at = rng.choice([-1, 1], 2) * ([x, y] * rng.uniform(0.3, 0.42, 2))
-            furniture.floor_lamp(stage, frame(*at), rng.uniform(20, 80))
+            furniture.floor_lamp(stage, floor_at(at), rng.uniform(20, 80))
     elif mode == "many":
         for _ in range(int(rng.integers(12, 30))):
             at = rng.uniform(-0.45, 0.45, 3) * size + [0, 0, 0.62 * z]
@@ -167,9 +169,7 @@ def _spots(stage: Stage, size: Array, count: int) -> None:
         stage.put({"type": "spot", "intensity": {"type": "rgb", "value": power}} | pose)
 
 
-def _look(origin: list[float], target: list[float]) -> object:
-    import mitsuba as mi
-
+def _look(origin: list[float], target: list[float]) -> mi.ScalarTransform4f:
     return mi.ScalarTransform4f().look_at([float(v) for v in origin], [float(v) for v in target], [0.1, 0.99, 0.01])
 
 
@@ -199,7 +199,7 @@ def _furnish(stage: Stage, size: Array) -> None:
             elif pick < 0.8:
                 furniture.picture(stage, place @ frame(slot * length, -0.02, rng.uniform(1.1, 1.4)))
     for _ in range(int(rng.integers(1, 3))):
-        spot = frame(*rng.uniform(-0.2, 0.2, 2) * size[:2], 0, rng.uniform(0, 6.3))
+        spot = floor_at(rng.uniform(-0.2, 0.2, 2) * size[:2], 0, rng.uniform(0, 6.3))
         wide, deep = rng.uniform(0.8, 1.8), rng.uniform(0.6, 1.0)
         furniture.table(stage, spot, (wide, deep, rng.uniform(0.4, 0.8)), int(rng.integers(3, 9)))
         for side in range(int(rng.integers(0, 5))):
@@ -309,7 +309,7 @@ def _garden(stage: Stage, blur: float) -> Callable[[Generator], Camera | None]:
         stage.box((40, 40, 0.1), ground, frame(), (0, 0, -0.1))
     stone = materials.opaque(rng, 0.8, 2)
     for _ in range(int(rng.integers(1, 5))):
-        at = frame(*rng.uniform(-4, 4, 2), -0.1, rng.uniform(0, 6.3))
+        at = floor_at(rng.uniform(-4, 4, 2), -0.1, rng.uniform(0, 6.3))
         if rng.uniform() < 0.5:
             stage.box((rng.uniform(1, 4), 0.25, rng.uniform(0.5, 3)), stone, at)
         else:
@@ -318,10 +318,10 @@ def _garden(stage: Stage, blur: float) -> Callable[[Generator], Camera | None]:
                     meshes.lathe(rng, "column"), stone, at @ frame(0.9 * i, 0, 0, scale=np.array([0.5, 0.5, 2.2]))
                 )
     for _ in range(int(rng.integers(2, 7))):
-        furniture.plant(stage, frame(*rng.uniform(-3, 3, 2), 0), rng.uniform(0.6, 2.5))
+        furniture.plant(stage, floor_at(rng.uniform(-3, 3, 2), 0), rng.uniform(0.6, 2.5))
     furniture.scatter(stage, frame(), (4, 4), int(rng.integers(3, 10)), (0.3, 1.1))
     if rng.uniform() < 0.5:
-        furniture.table(stage, frame(*rng.uniform(-1, 1, 2)), (1.2, 0.8, 0.7))
+        furniture.table(stage, floor_at(rng.uniform(-1, 1, 2)), (1.2, 0.8, 0.7))
     if rng.uniform() < 0.75:
         _sky(stage)
     else:

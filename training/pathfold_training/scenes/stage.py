@@ -45,7 +45,7 @@ class Stage:
         """A box of `size` whose base centre is `at` in the frame `placement`."""
         sx, sy, sz = size
         local = frame(at[0], at[1], at[2] + sz / 2) @ np.diag([sx / 2, sy / 2, sz / 2, 1])
-        self.put({"type": "cube", "to_world": mi.ScalarTransform4f(placement @ local), "bsdf": bsdf} | extra)
+        self.put({"type": "cube", "to_world": mi.ScalarTransform4f((placement @ local).tolist()), "bsdf": bsdf} | extra)
 
     def rectangle(self, centre: Any, toward: Any, size: Any, **extra: Any) -> None:
         """A rectangle of `size` that faces the point `toward`."""
