@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -12,7 +11,7 @@ TABLE = 513
 
 
 class Film:
-    """Size of a sensor's film and its filter as a sampling distribution, so that a sample belongs to one pixel."""
+    """Size of a sensor's film, and its filter as a sampling distribution: a sample belongs to one pixel."""
 
     def __init__(self, camera: Any) -> None:
         film = camera.film()
@@ -45,6 +44,3 @@ class Film:
         row = pixel // self.width
         centre = mi.Point2f(mi.Float(pixel - row * self.width), mi.Float(row)) + 0.5
         return (centre + offset) / mi.Point2f(self.width, self.height)
-
-
-__all__ = ["Film"]

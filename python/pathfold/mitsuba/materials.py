@@ -1,17 +1,19 @@
-"""What the tracer asks of a BSDF and Mitsuba does not answer itself: lobe roughness, reflectance and diffuse part.
+"""What the tracer asks of a BSDF and Mitsuba does not answer: roughness, reflectance and diffuse part.
 
-Every function here is meant for `drjit.dispatch`: it receives a concrete BSDF while the kernel is traced and walks
-into wrappers (mask, twosided, bumpmap, normalmap, blendbsdf) that hide the attributes of what they wrap.
+`roughness`, `reflectance`, `diffuse_value` and `normal` are meant for `drjit.dispatch`: they receive a concrete
+BSDF while the kernel is traced and walk into wrappers (mask, twosided, blendbsdf, maps) that hide what they wrap.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-WRAPPERS = ("MaskBSDF", "BumpMap", "NormalMap")
+PERTURBED = ("BumpMap", "NormalMap")
+WRAPPERS = ("MaskBSDF", *PERTURBED)
 PRINCIPLED = ("Principled", "PrincipledThin")
 CONDUCTORS = ("SmoothConductor", "RoughConductor")
 TRANSPARENT = ("SmoothDielectric", "ThinDielectric", "RoughDielectric", "Null")
@@ -43,26 +45,49 @@ def leaves(bsdf: Any) -> list[Any]:
     return [leaf for child in children(bsdf).values() if isinstance(child, mi.BSDF) for leaf in leaves(child)]
 
 
+def descendants(node: Any, seen: dict[int, Any] | None = None) -> list[Any]:
+    """Return every object below a scene or BSDF once, those inside of instanced groups too."""
+    seen = {} if seen is None else seen
+    for child in children(node).values():
+        if id(child) not in seen:
+            seen[id(child)] = child
+            descendants(child, seen)
+    return list(seen.values())
+
+
+@dataclass(frozen=True)
+class Lobes:
+    """Whether any BSDF of a scene has glossy lobes, has them beside diffuse ones, or has a bump or normal map."""
+
+    glossy: bool
+    mixed: bool
+    mapped: bool
+
+
+def survey(scene: Any) -> Lobes:
+    """Return the lobes of a scene; raise NotImplementedError that names what cannot be traced or split."""
+    objects = descendants(scene)
+    for found in objects:
+        if isinstance(found, mi.Medium):
+            raise NotImplementedError(f"medium '{found.id()}': participating media are not traced; remove it")
+        if isinstance(found, mi.BSDF):
+            check(found)
+    bsdfs = [found for found in objects if isinstance(found, mi.BSDF)]
+    return Lobes(
+        glossy=any(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Glossy) for bsdf in bsdfs),
+        mixed=any(is_mixed(bsdf.flags()) for bsdf in bsdfs),
+        mapped=any(bsdf.class_name() in PERTURBED for bsdf in bsdfs),
+    )
+
+
 def check(bsdf: Any) -> None:
     """Raise NotImplementedError for a BSDF whose diffuse part cannot be told from the rest."""
-    for leaf in leaves(bsdf):
-        if leaf.class_name() not in (*SPLIT, *UNSPLIT) and is_mixed(leaf.flags()):
-            raise NotImplementedError(
-                f"BSDF '{leaf.id()}' ({leaf.class_name()}) mixes diffuse and glossy lobes and pathfold does not know how to "
-                f"split them; use one of {', '.join(SPLIT)}, or compose it with blendbsdf"
-            )
-    if any(node.class_name() in ("BumpMap", "NormalMap") for node in nodes(bsdf)) and any(
-        leaf.class_name() in PRINCIPLED for leaf in leaves(bsdf)
-    ):
+    kind = bsdf.class_name()
+    if kind not in (*SPLIT, *UNSPLIT, *COMPOUND) and is_mixed(bsdf.flags()):
         raise NotImplementedError(
-            f"BSDF '{bsdf.id()}' puts a principled BSDF under a bump or normal map, which pathfold cannot split; "
-            "use roughplastic or a blendbsdf of diffuse and roughconductor under the map"
+            f"BSDF '{bsdf.id()}' ({kind}) mixes diffuse and glossy lobes that pathfold cannot split; "
+            f"use one of {', '.join(SPLIT)}, or a blendbsdf of a diffuse and a glossy BSDF"
         )
-
-
-def nodes(bsdf: Any) -> list[Any]:
-    """Return a BSDF and everything nested in it."""
-    return [bsdf, *(n for c in children(bsdf).values() if isinstance(c, mi.BSDF) for n in nodes(c))]
 
 
 def is_mixed(flags: Any) -> Any:
@@ -98,7 +123,7 @@ def roughness(bsdf: Any, si: Any, active: Any) -> Any:
 
 
 def reflectance(bsdf: Any, si: Any, active: Any) -> tuple[Any, Any]:
-    """Return two colours: reflectance of the diffuse lobe, and guide albedo (specular where nothing is diffuse)."""
+    """Return the reflectance of the diffuse lobe, and the guide albedo (specular where nothing is diffuse)."""
     kind = bsdf.class_name()
     if kind in COMPOUND:
         pick = lambda index: lambda child, s: reflectance(child, s, active)[index]  # noqa: E731
@@ -130,9 +155,46 @@ def diffuse_value(bsdf: Any, si: Any, wo: Any, active: Any) -> Any:
         return opacity * diffuse_value(parts["nested_bsdf"], si, wo, active)
     if bsdf.class_name() == "BlendBSDF":
         return _combine(bsdf, lambda child, s: diffuse_value(child, s, wo, active), si, active)
-    if bsdf.class_name() in PRINCIPLED:
-        return _principled_diffuse(bsdf, si, wo, active)
-    return mi.Color3f(0)
+    if bsdf.class_name() in PERTURBED:
+        # The ratio is free of the shadowing term, which these BSDFs multiply on but do not show.
+        nested, context = children(bsdf)["nested_bsdf"], mi.BSDFContext()
+        seen, frame = perturb(bsdf, si, active)
+        outgoing = frame.to_local(wo)
+        whole = nested.eval(context, seen, outgoing, active)
+        part = diffuse_value(nested, seen, outgoing, active)
+        return dr.select(whole > 0, bsdf.eval(context, si, wo, active) * part / whole, 0)
+    return _principled_diffuse(bsdf, si, wo, active)
+
+
+def normal(bsdf: Any, si: Any, active: Any) -> Any:
+    """Return the shading normal in world space, with bump and normal maps."""
+    if not any(node.class_name() in PERTURBED for node in (bsdf, *descendants(bsdf))):
+        return mi.Vector3f(si.sh_frame.n)
+    if bsdf.class_name() in PERTURBED:
+        seen, _ = perturb(bsdf, si, active)
+        return normal(children(bsdf)["nested_bsdf"], seen, active)
+    return _combine(bsdf, lambda child, s: normal(child, s, active), si, active)
+
+
+def perturb(bsdf: Any, si: Any, active: Any) -> tuple[Any, Any]:
+    """Return the interaction that a bump or normal map shows to its nested BSDF, and its frame in local space."""
+    parts, shading = children(bsdf), si.sh_frame
+    if bsdf.class_name() == "NormalMap":
+        n = mi.Vector3f(parts["normalmap"].eval_3(si, active)) * 2 - 1
+    else:
+        slope = parts["nested_texture"].eval_1_grad(si, active) * mi.traverse(bsdf)["scale"]
+        dp_du = si.dp_du + shading.n * (slope.x - dr.dot(shading.n, si.dp_du))
+        dp_dv = si.dp_dv + shading.n * (slope.y - dr.dot(shading.n, si.dp_dv))
+        n = dr.normalize(dr.cross(dp_du, dp_dv))
+        n = shading.to_local(dr.select(dr.dot(si.n, n) < 0, -n, n))
+    n = dr.select(si.wi.z * dr.dot(si.wi, n) <= 0, mi.Vector3f(-n.x, -n.y, n.z), n)
+    n = dr.select(dr.squared_norm(n) > 0, dr.normalize(n), mi.Vector3f(0, 0, 1))
+    s = dr.normalize(mi.Vector3f(1, 0, 0) - n * n.x)
+    local = mi.Frame3f(s, dr.cross(n, s), n)
+    seen = mi.SurfaceInteraction3f(si)
+    seen.sh_frame = mi.Frame3f(*(shading.to_world(axis) for axis in (local.s, local.t, local.n)))
+    seen.wi = local.to_local(si.wi)
+    return seen, local
 
 
 def _combine(bsdf: Any, ask: Any, si: Any, active: Any) -> Any:
@@ -141,9 +203,7 @@ def _combine(bsdf: Any, ask: Any, si: Any, active: Any) -> Any:
     if kind == "TwoSidedBRDF":
         front, back = parts["brdf_0"], parts.get("brdf_1", parts["brdf_0"])
         seen = facing(si)
-        return (
-            ask(front, seen) if front is back else dr.select(si.wi.z > 0, ask(front, seen), ask(back, seen))
-        )
+        return ask(front, seen) if front is back else dr.select(si.wi.z > 0, ask(front, seen), ask(back, seen))
     if kind == "BlendBSDF":
         weight = dr.clip(parts["weight"].eval_1(si, active), 0, 1)
         return dr.lerp(ask(parts["bsdf_0"], si), ask(parts["bsdf_1"], si), weight)

@@ -3,73 +3,84 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from . import materials
 from .film import Film
-from .walk import Guides, Path, Record, Settings, log, walk
+from .walk import Guides, Path, Record, Settings, Vertex, walk
 
 DEAD = -100.0  # stands for the logarithm of 0 in a descriptor
+LOG_FLOOR = float(np.log(1e-30))
 MAX_LANES = 2**32 // 36
 CHUNK_LANES = 1 << 22  # samples that trace_mean holds at once
 
 
 @dataclass
 class Samples:
-    """Camera samples as NumPy arrays S x H x W x C, linear radiance, normals in camera space.
+    """Camera samples as NumPy arrays S x H x W x C (memory S x C x H x W), linear radiance.
 
-    `descriptor` (36 channels for 6 vertices, float16, logarithms where DESIGN calls for them), `density` (log q) and
-    `overlong` (1 where the dominant path has more vertices than were recorded) are None unless they were asked for.
-    `position` is the offset in pixels from the pixel centre.
+    Radiance, depth, position and density are float32, the rest float16. `normal` is in camera space and faces the
+    camera; `position` is the offset in pixels from the pixel centre; `alpha` is 1 where the sample met a surface.
+    `descriptor` (6 + 5 * vertices channels, logarithms with -100 for 0), `density` (log of the sampling density)
+    and `overlong` (1 where a path has more vertices than were recorded) are None unless they were asked for.
     """
 
-    radiance: np.ndarray
-    diffuse: np.ndarray
-    diffuse_albedo: np.ndarray
-    albedo: np.ndarray
-    normal: np.ndarray
-    depth: np.ndarray
-    alpha: np.ndarray
-    position: np.ndarray
-    descriptor: np.ndarray | None = None
-    density: np.ndarray | None = None
-    overlong: np.ndarray | None = None
+    radiance: NDArray[Any]
+    diffuse: NDArray[Any]
+    diffuse_albedo: NDArray[Any]
+    albedo: NDArray[Any]
+    normal: NDArray[Any]
+    depth: NDArray[Any]
+    alpha: NDArray[Any]
+    position: NDArray[Any]
+    descriptor: NDArray[Any] | None = None
+    density: NDArray[Any] | None = None
+    overlong: NDArray[Any] | None = None
 
     @property
-    def specular(self) -> np.ndarray:
+    def specular(self) -> NDArray[Any]:
         """Radiance that the diffuse lobe did not carry, S x H x W x 3."""
         return self.radiance - self.diffuse
 
-    def valid(self) -> np.ndarray:
-        """Return S x H x W booleans: every radiance channel is finite."""
-        return np.isfinite(self.radiance).all(-1) & np.isfinite(self.diffuse).all(-1)
+    def valid(self) -> NDArray[Any]:
+        """Return S x H x W booleans: radiance and guides are finite."""
+        arrays = (self.radiance, self.diffuse, self.diffuse_albedo, self.albedo, self.normal, self.depth)
+        return np.logical_and.reduce([np.isfinite(a).all(-1) for a in arrays])
 
     def reduce(self) -> dict[str, Any]:
-        """Return per-pixel buffers H x W x C float32 and `dropped`, the number of non-finite samples left out.
+        """Return pixel means H x W x C float32, and `dropped`: how many samples were not finite and left out.
 
-        Buffers: color, diffuse, specular, their variances of the pixel mean (unbiased; 0 below two samples),
-        diffuse.albedo, albedo, normal, depth, alpha.
+        Means: color, diffuse, specular, diffuse.albedo, albedo, normal, depth, alpha; also variance,
+        diffuse.variance and specular.variance, unbiased and of the pixel mean, 0 below two samples.
         """
         valid = self.valid()[..., None]
         count = valid.sum(0)
         buffers: dict[str, Any] = {"dropped": int(valid.size - count.sum())}
 
-        def mean(samples: np.ndarray) -> np.ndarray:
-            return np.where(valid, samples, 0).sum(0, dtype=np.float32) / np.maximum(count, 1)
+        def mean(samples: NDArray[Any]) -> NDArray[np.float32]:
+            total = np.where(valid, samples, 0).sum(0, dtype=np.float32)
+            return (total / np.maximum(count, 1)).astype(np.float32)
 
         radiance = {"color": self.radiance, "diffuse": self.diffuse, "specular": self.specular}
         for name, samples in radiance.items():
-            buffers[name] = mean(samples).astype(np.float32)
-            squares = np.where(valid, np.square(samples - buffers[name]), 0).sum(0, dtype=np.float32)
+            buffers[name] = mean(samples)
+            squares = np.where(valid, np.square(samples - buffers[name]), 0).sum(0)
             variance = np.where(count > 1, squares / np.maximum(count - 1, 1) / np.maximum(count, 1), 0)
             buffers["variance" if name == "color" else f"{name}.variance"] = variance.astype(np.float32)
-        guides = {"diffuse.albedo": self.diffuse_albedo, "albedo": self.albedo, "normal": self.normal,
-                  "depth": self.depth, "alpha": self.alpha}  # fmt: skip
-        return buffers | {name: mean(samples).astype(np.float32) for name, samples in guides.items()}
+        guides = {
+            "diffuse.albedo": self.diffuse_albedo,
+            "albedo": self.albedo,
+            "normal": self.normal,
+            "depth": self.depth,
+            "alpha": self.alpha,
+        }
+        return buffers | {name: mean(samples) for name, samples in guides.items()}
 
 
 def trace(
@@ -85,29 +96,27 @@ def trace(
 ) -> Samples:
     """Path-trace `spp` samples for every pixel of a sensor of a loaded Mitsuba scene.
 
-    `max_depth` counts as in Mitsuba: 1 shows emitters alone, 2 adds direct light, -1 has no limit and needs `rr_depth`,
-    the depth from which Russian roulette may end a path (None: never; its probability joins the density).
+    `max_depth` counts as in Mitsuba: 1 shows emitters alone, 2 adds direct light, -1 has no limit and needs
+    `rr_depth`, the depth from which Russian roulette may end a path (None: never; its odds join the density).
     Without `emitter_sampling` light is only found by running into it. Equal arguments give equal arrays.
-    Raises ValueError for arguments out of range and NotImplementedError for scene features that are not supported.
+    Raises ValueError for arguments out of range, NotImplementedError naming what the scene has and we lack.
     """
-    settings = Settings(max_depth, rr_depth, vertices, descriptors, emitter_sampling)
-    camera = check(scene, spp, sensor, settings)
+    camera = check(scene, spp, seed, sensor, max_depth, rr_depth, vertices)
     film = Film(camera)
-    lanes = film.pixels * spp
-    if lanes > MAX_LANES:
+    if film.pixels * spp > MAX_LANES:
         raise ValueError(
-            f"{film.width}x{film.height} pixels at {spp} samples are {lanes} paths, more than {MAX_LANES} in one call; "
+            f"{film.width}x{film.height} pixels at {spp} samples are more than {MAX_LANES} paths in one call; "
             "lower spp and call again with another seed, or set a crop window on the film"
         )
-    ray_weight, position, (path, guides, record) = launch(scene, camera, film, spp, (seed, 0), settings)
-    columns = pack(camera, ray_weight, path, guides)
-    columns["position"] = position, "single"
+    settings = Settings(max_depth, rr_depth, vertices, descriptors, emitter_sampling, materials.survey(scene))
+    # Sample-major lanes: every channel is a plane S x H x W as it leaves the device.
+    pixel = dr.arange(mi.UInt32, film.pixels * spp) % film.pixels
+    position, path, guides, record = launch(scene, camera, film, pixel, (seed, 0), settings)
+    columns = pack(camera, path, guides) | {"position": list(position)}
     if record is not None:
         columns |= describe(record)
-    flat = {name: interleave(values, precision) for name, (values, precision) in columns.items()}
-    dr.eval(flat)
-    shape = (spp, film.height, film.width, -1)
-    return Samples(**{name: values.numpy().reshape(shape) for name, values in flat.items()})
+    dr.eval(columns)
+    return Samples(**{name: to_host(channels, spp, film) for name, channels in columns.items()})
 
 
 def trace_mean(
@@ -119,135 +128,133 @@ def trace_mean(
     rr_depth: int | None = None,
     emitter_sampling: bool = True,
 ) -> dict[str, Any]:
-    """Average `spp` samples per pixel on the device; return H x W x C float32 buffers and `dropped`.
+    """Average `spp` samples per pixel on the device; return H x W x C float32 means and `dropped`.
 
-    Buffers: color, diffuse, diffuse.albedo, albedo, normal, depth, alpha (specular = color - diffuse). Non-finite
-    samples are left out and counted. Seeds are independent of `trace`'s, and unlike seeds of each other.
+    Means: color, diffuse, diffuse.albedo, albedo, normal, depth, alpha (specular = color - diffuse). Samples that
+    are not finite are left out and counted. Seeds are independent of each other and of `trace`'s.
     """
-    settings = Settings(max_depth, rr_depth, 1, False, emitter_sampling)
-    camera = check(scene, spp, sensor, settings)
+    camera = check(scene, spp, seed, sensor, max_depth, rr_depth, 1)
     film = Film(camera)
-    step = max(1, min(spp, CHUNK_LANES // film.pixels))
-    sums: dict[str, np.ndarray] = {}
-    for index, first in enumerate(range(0, spp, step)):
-        size = min(step, spp - first)
-        ray_weight, _, (path, guides, _) = launch(scene, camera, film, size, (seed, 1, index), settings)
-        columns = pack(camera, ray_weight, path, guides)
+    settings = Settings(max_depth, rr_depth, 1, False, emitter_sampling, materials.survey(scene))
+    chunk = max(1, CHUNK_LANES // film.pixels)
+    sums: dict[str, NDArray[np.float64]] = {}
+    for index, first in enumerate(range(0, spp, chunk)):
+        size = min(chunk, spp - first)
+        # Pixel-major lanes: the samples of a pixel lie side by side and are summed as a block.
+        pixel = dr.arange(mi.UInt32, film.pixels * size) // size
+        _, path, guides, _ = launch(scene, camera, film, pixel, (seed, 1, index), settings)
+        columns = pack(camera, path, guides, mi.Float)
         finite = mi.Bool(True)
-        for name in ("radiance", "diffuse"):
-            finite &= dr.all(dr.isfinite(columns[name][0]))
-        columns["count"] = dr.ones(mi.Float, film.pixels * size), "single"
-        kept = {name: dr.select(finite, values, 0) for name, (values, _) in columns.items()}
-        dr.eval(kept)  # one kernel: sums of unevaluated columns would each trace all paths again
-        totals = {name: total(values, size) for name, values in kept.items()}
-        for name, values in totals.items():
-            sums[name] = sums.get(name, 0) + values.numpy().astype(np.float64)
+        for channel in chain.from_iterable(columns.values()):
+            finite &= dr.isfinite(channel)
+        columns["count"] = [dr.full(mi.Float, 1, film.pixels * size)]
+        columns = {name: [dr.select(finite, c, 0) for c in channels] for name, channels in columns.items()}
+        dr.eval(columns)  # one kernel: sums of unevaluated columns would each trace all paths again
+        for name, channels in columns.items():
+            blocks = [dr.block_sum(channel, size) for channel in channels]
+            dr.eval(blocks)
+            sums[name] = sums.get(name, 0) + np.stack([block.numpy() for block in blocks], -1, dtype=np.float64)
     count = sums.pop("count")
     names = {"radiance": "color", "diffuse_albedo": "diffuse.albedo"}
     means: dict[str, Any] = {"dropped": int(film.pixels * spp - count.sum())}
     for name, values in sums.items():
-        image = (values / np.maximum(count, 1)).T.reshape(film.height, film.width, -1)
+        image = (values / np.maximum(count, 1)).reshape(film.height, film.width, -1)
         means[names.get(name, name)] = image.astype(np.float32)
     return means
 
 
-def check(scene: Any, spp: int, sensor: int, settings: Settings) -> Any:
+def check(scene: Any, spp: int, seed: int, sensor: int, max_depth: int, rr_depth: int | None, vertices: int) -> Any:
     """Return the sensor, or raise an error that names what is wrong and what would be right."""
-    variant = mi.variant()
-    if variant not in ("llvm_ad_rgb", "cuda_ad_rgb"):
+    if mi.variant() not in ("llvm_ad_rgb", "cuda_ad_rgb"):
         raise RuntimeError(
-            f"Mitsuba variant {variant} cannot trace descriptors; call mitsuba.set_variant('llvm_ad_rgb') "
-            "(or 'cuda_ad_rgb') before the scene is loaded"
+            f"Mitsuba's variant is {mi.variant()}; call mitsuba.set_variant('llvm_ad_rgb') or "
+            "('cuda_ad_rgb') before the scene is loaded"
         )
     if not isinstance(scene, mi.Scene):
-        raise TypeError(
-            f"scene is {type(scene).__name__}; pass the mitsuba.Scene that mitsuba.load_file returns"
-        )
-    if not 0 <= sensor < len(scene.sensors()):
-        raise ValueError(
-            f"sensor {sensor} does not exist; the scene has {len(scene.sensors())} (counted from 0)"
-        )
+        raise TypeError(f"scene is a {type(scene).__name__}; pass the Scene that mitsuba.load_file returns")
+    sensors = scene.sensors()
+    if not 0 <= sensor < len(sensors):
+        raise ValueError(f"sensor {sensor} does not exist; the scene has {len(sensors)}, counted from 0")
     if spp < 1:
         raise ValueError(f"spp is {spp}; ask for at least 1 sample per pixel")
-    if settings.vertices < 1:
-        raise ValueError(f"vertices is {settings.vertices}; record at least 1")
-    if settings.max_depth < 1 and (settings.max_depth != -1 or settings.rr_depth is None):
-        raise ValueError(f"max_depth is {settings.max_depth}; give 1 or more, or -1 together with rr_depth")
-    for shape in scene.shapes():
-        if shape.bsdf() is not None:
-            materials.check(shape.bsdf())
-    return scene.sensors()[sensor]
+    if seed < 0:
+        raise ValueError(f"seed is {seed}; give 0 or more")
+    if vertices < 1:
+        raise ValueError(f"vertices is {vertices}; record at least 1")
+    if max_depth < 1 and (max_depth != -1 or rr_depth is None):
+        raise ValueError(f"max_depth is {max_depth}; give 1 or more, or -1 together with rr_depth")
+    return sensors[sensor]
 
 
 def launch(
-    scene: Any, camera: Any, film: Film, spp: int, entropy: tuple[int, ...], settings: Settings
-) -> tuple[Any, Any, tuple[Path, Guides, Record | None]]:
-    """Start one path per lane, sample-major: lane = sample * pixels + pixel, so that arrays come out S x H x W."""
-    lanes = film.pixels * spp
-    sampler = mi.load_dict({"type": "independent", "sample_count": spp})
-    sampler.seed(int(np.random.SeedSequence(entropy).generate_state(1)[0]), lanes)
-    pixel = dr.arange(mi.UInt32, lanes) % film.pixels
+    scene: Any, camera: Any, film: Film, pixel: Any, entropy: tuple[int, ...], settings: Settings
+) -> tuple[Any, Path, Guides, Record | None]:
+    """Trace one path per lane through its pixel; return its film position first."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(int(np.random.SeedSequence(entropy).generate_state(1)[0]), dr.width(pixel))
     offset = film.sample(sampler.next_2d())
     aperture = sampler.next_2d() if camera.needs_aperture_sample() else mi.Point2f(0.5)
-    ray, ray_weight = camera.sample_ray(0, 0, film.place(pixel, offset), aperture)
-    return ray_weight, offset, walk(scene, sampler, ray, settings)
+    ray, weight = camera.sample_ray(0, 0, film.place(pixel, offset), aperture)
+    path, guides, record = walk(scene, sampler, ray, settings)
+    path.radiance *= weight
+    path.diffuse *= weight
+    return offset, path, guides, record
 
 
-def pack(camera: Any, ray_weight: Any, path: Path, guides: Guides) -> dict[str, tuple[Any, str]]:
-    """Return the buffers of every sample as device arrays with the type they leave the device in."""
-    to_camera = camera.world_transform().inverse()
-    normal = to_camera @ guides.normal
+def half(channels: Any) -> list[Any]:
+    """Convert device arrays to float16 where they are."""
+    float16 = dr.float16_array_t(mi.Float)
+    return [float16(channel) for channel in channels]
+
+
+def pack(camera: Any, path: Path, guides: Guides, guide_type: Any = None) -> dict[str, list[Any]]:
+    """Return the channels of every buffer as device arrays: radiance and depth in float32, guides in float16."""
+    narrow = half if guide_type is None else list
+    normal = camera.world_transform().inverse() @ guides.normal
     normal = dr.select(guides.found, normal * dr.rsqrt(dr.maximum(dr.squared_norm(normal), 1e-20)), 0)
     return {
-        "radiance": (path.radiance * ray_weight, "single"),
-        "diffuse": (path.diffuse * ray_weight, "single"),
-        "diffuse_albedo": (guides.diffuse_albedo, "half"),
-        "albedo": (guides.albedo, "half"),
-        "normal": (normal, "half"),
-        "depth": (guides.depth, "single"),
-        "alpha": (dr.select(guides.covered, mi.Float(1), 0), "half"),
+        "radiance": list(path.radiance),
+        "diffuse": list(path.diffuse),
+        "depth": [guides.depth],
+        "diffuse_albedo": narrow(guides.diffuse_albedo),
+        "albedo": narrow(guides.albedo),
+        "normal": narrow(normal),
+        "alpha": narrow([dr.select(guides.covered, mi.Float(1), 0)]),
     }
 
 
-def describe(record: Record) -> dict[str, tuple[Any, str]]:
-    """Return descriptor, density and overlong flag of the dominant contribution, or of the whole walk without one."""
+def describe(record: Record) -> dict[str, list[Any]]:
+    """Return descriptor, density and overlong flag of the dominant contribution, or of a walk without one."""
     lit = record.best > 0
-    count = dr.select(lit, record.end_count, record.count)
     sampled = lit & record.end_sampled
-    logs: list[Any] = []
-    tags: list[Any] = []
-    roughnesses: list[Any] = []
+    count = dr.select(lit, record.end_count, record.count)
+    attenuations, tags, roughnesses = [], [], []
     product = mi.Color3f(0)
     for slot, vertex in enumerate(record.walk):
-        vertex = dr.select(sampled & (count == slot), record.end, vertex)
-        alive = (count > slot) | (sampled & (count == slot))
-        logarithm = log(vertex.attenuation)
-        dark = ~alive | (vertex.attenuation <= 0)
-        product += dr.select(alive, dr.select(dark, -dr.inf, logarithm), 0)
-        logs += list(dr.select(dark, DEAD, logarithm))
-        tags.append(dr.select(alive, vertex.tag, 0))
-        roughnesses.append(dr.select(alive, vertex.roughness, 0))
+        ends = sampled & (count == slot)
+        alive = ends | (count > slot)
+        vertex = dr.select(alive, dr.select(ends, record.end, vertex), Vertex.empty())
+        attenuations.extend(logarithm(vertex.attenuation))
+        product += dr.select(alive, dr.log(vertex.attenuation), 0)
+        tags.append(vertex.tag)
+        roughnesses.append(vertex.roughness)
     photon = dr.select(lit, record.photon, 0)
-    product += log(photon)
-    floor = dr.log(mi.Float(1e-30))
-    radiance = dr.select((photon > 0) & dr.isfinite(product), dr.maximum(product, floor), DEAD)
-    logs = [*radiance, *dr.select(photon > 0, log(photon), DEAD), *logs]
+    product += dr.log(photon)
+    undivided = dr.select(dr.isfinite(product), dr.maximum(product, LOG_FLOOR), DEAD)
     total = count + dr.select(sampled, mi.UInt32(1), 0)
     return {
-        "descriptor": (logs + tags + roughnesses, "half"),
-        "density": (dr.select(lit, record.end_density, record.log_density), "single"),
-        "overlong": (dr.select(total > len(record.walk), mi.Float(1), 0), "half"),
+        "descriptor": half([*undivided, *logarithm(photon), *attenuations, *tags, *roughnesses]),
+        "density": [dr.select(lit, record.end_density, record.log_density)],
+        "overlong": half([dr.select(total > len(record.walk), mi.Float(1), 0)]),
     }
 
 
-def interleave(values: Any, precision: str) -> Any:
-    """Turn one device array per channel into one flat array, channels last, float32 or float16."""
-    channels = [values] if isinstance(values, mi.Float) else list(values)
-    flat = mi.ArrayXf(channels)
-    return dr.ravel(dr.float16_array_t(flat)(flat) if precision == "half" else flat)
+def logarithm(color: Any) -> Any:
+    """ln(max(x, 1e-30)) per channel, DEAD for 0."""
+    return dr.select(color > 0, dr.maximum(dr.log(color), LOG_FLOOR), DEAD)
 
 
-def total(values: Any, spp: int) -> Any:
-    """Sum a device array over samples: C x P."""
-    channels = [values] if isinstance(values, mi.Float) else list(values)
-    return dr.sum(mi.TensorXf(dr.concat(channels), (len(channels), spp, dr.width(channels) // spp)), axis=1)
+def to_host(channels: list[Any], spp: int, film: Film) -> NDArray[Any]:
+    """Stack planes of sample-major lanes into an array seen as S x H x W x C."""
+    planes = [channel.numpy().reshape(spp, film.height, film.width) for channel in channels]
+    return np.moveaxis(np.stack(planes, 1), 1, -1)

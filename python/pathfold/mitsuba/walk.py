@@ -1,4 +1,4 @@
-"""The path tracing loop: one symbolic Dr.Jit kernel that carries radiance, its split, guides and the path descriptor."""
+"""The path tracing loop: one symbolic Dr.Jit kernel for radiance, its split, guides and the path descriptor."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ LOG_FLOOR = 1e-30
 
 @dataclass(frozen=True)
 class Settings:
-    """What the loop is asked for: Mitsuba's `max_depth`, roulette depth or None, recorded vertices, switches."""
+    """What the loop is asked for: Mitsuba's `max_depth`, roulette depth or None, vertices to record, switches."""
 
     max_depth: int
     rr_depth: int | None
     vertices: int
     descriptors: bool
     emitter_sampling: bool
+    lobes: materials.Lobes
 
 
 @dataclass
@@ -55,10 +56,18 @@ class Record:
 
     @staticmethod
     def empty(vertices: int) -> Record:
-        zero = mi.Float(0)
-        walk = [Vertex.empty() for _ in range(vertices)]
-        return Record(walk, mi.UInt32(0), mi.Color3f(1), mi.Float(0), zero, mi.Color3f(0), Vertex.empty(),
-                      mi.UInt32(0), mi.Float(0), mi.Bool(False))  # fmt: skip
+        return Record(
+            walk=[Vertex.empty() for _ in range(vertices)],
+            count=mi.UInt32(0),
+            pending=mi.Color3f(1),
+            log_density=mi.Float(0),
+            best=mi.Float(0),
+            photon=mi.Color3f(0),
+            end=Vertex.empty(),
+            end_count=mi.UInt32(0),
+            end_density=mi.Float(0),
+            end_sampled=mi.Bool(False),
+        )
 
 
 @dataclass
@@ -75,8 +84,15 @@ class Guides:
 
     @staticmethod
     def empty() -> Guides:
-        black, far = mi.Color3f(0), mi.Float(0)
-        return Guides(mi.Color3f(1), black, mi.Normal3f(0), far, mi.Bool(False), mi.Bool(False), mi.Float(0))
+        return Guides(
+            albedo=mi.Color3f(1),
+            diffuse_albedo=mi.Color3f(0),
+            normal=mi.Normal3f(0),
+            depth=mi.Float(0),
+            covered=mi.Bool(False),
+            found=mi.Bool(False),
+            distance=mi.Float(0),
+        )
 
 
 @dataclass
@@ -98,8 +114,21 @@ class Path:
 
     @staticmethod
     def start(ray: Any) -> Path:
-        return Path(mi.Bool(True), ray, mi.UInt32(0), mi.Color3f(1), mi.Float(1), dr.zeros(mi.Interaction3f), mi.Float(1),
-                    mi.Bool(True), mi.Color3f(0), mi.Color3f(0), mi.Color3f(0), mi.Bool(False))  # fmt: skip
+        # A fresh array for every field: Dr.Jit's += changes the array itself, and with it any other name for it.
+        return Path(
+            active=mi.Bool(True),
+            ray=ray,
+            depth=mi.UInt32(0),
+            throughput=mi.Color3f(1),
+            eta=mi.Float(1),
+            last=dr.zeros(mi.Interaction3f),
+            last_pdf=mi.Float(1),
+            last_delta=mi.Bool(True),
+            radiance=mi.Color3f(0),
+            diffuse=mi.Color3f(0),
+            share=mi.Color3f(0),
+            split=mi.Bool(False),
+        )
 
 
 def walk(scene: Any, sampler: Any, ray: Any, settings: Settings) -> tuple[Path, Guides, Record | None]:
@@ -112,15 +141,11 @@ def walk(scene: Any, sampler: Any, ray: Any, settings: Settings) -> tuple[Path, 
 
     limit = settings.max_depth if settings.max_depth > 0 else None
     state = (sampler, Path.start(ray), Guides.empty(), record)
-    out = dr.while_loop(
-        state, lambda sampler, path, *_: path.active, body, label="pathfold", max_iterations=limit
-    )
+    out = dr.while_loop(state, lambda sampler, path, *_: path.active, body, label="pathfold", max_iterations=limit)
     return out[1:]
 
 
-def step(
-    scene: Any, sampler: Any, path: Path, guides: Guides, record: Record | None, settings: Settings
-) -> None:
+def step(scene: Any, sampler: Any, path: Path, guides: Guides, record: Record | None, settings: Settings) -> None:
     """Advance every path by one interaction."""
     si = scene.ray_intersect(path.ray, mi.RayFlags.All, path.depth == 0)
     hit = si.is_valid()
@@ -135,16 +160,19 @@ def step(
     delta = on & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
 
     first = on & ~path.split
-    share, light_share = split_shares(bsdf, si, sample, weight, wo, value, first & ~delta, lit, first, record)
+    share = diffuse_share(bsdf, si, sample.wo, weight * sample.pdf, first & ~delta, settings)
     if settings.emitter_sampling:
+        # Past the split the share of the light's direction is needed for tags alone.
+        wanted = lit if settings.descriptors else lit & first
+        light_share = diffuse_share(bsdf, si, wo, value, wanted, settings)
         mis = dr.select(light.delta, 1, balance(light.pdf, pdf))
         gathered = dr.select(lit, path.throughput * value * light_weight * mis, 0)
         path.radiance += gathered
         path.diffuse += gathered * dr.select(first, light_share, path.share)
 
-    gather_guides(path, guides, si, bsdf, hit, delta, emitter_hit, sample)
+    gather_guides(guides, si, bsdf, hit, delta, emitter_hit, sample, settings)
     if record is not None:
-        alpha = lobe_roughness(bsdf, si, on)
+        alpha = lobe_roughness(bsdf, si, on, settings)
         if settings.emitter_sampling:
             end_on_light(record, gathered, light, light_weight, si, wo, value, light_share, alpha)
         scatter(record, on, sample, weight, alpha, settings)
@@ -187,9 +215,7 @@ def add_emission(scene: Any, si: Any, path: Path, record: Record | None, setting
     return found & si.is_valid()
 
 
-def sample_light(
-    scene: Any, sampler: Any, si: Any, bsdf: Any, on: Any, settings: Settings
-) -> tuple[Any, Any, Any]:
+def sample_light(scene: Any, sampler: Any, si: Any, bsdf: Any, on: Any, settings: Settings) -> tuple[Any, Any, Any]:
     """Sample a direction towards an emitter where the BSDF has a smooth part."""
     if not settings.emitter_sampling:
         return dr.zeros(mi.DirectionSample3f), mi.Color3f(0), mi.Bool(False)
@@ -198,41 +224,27 @@ def sample_light(
     return light, weight, lit & (light.pdf != 0)
 
 
-def split_shares(
-    bsdf: Any,
-    si: Any,
-    sample: Any,
-    weight: Any,
-    wo: Any,
-    value: Any,
-    sampled: Any,
-    lit: Any,
-    first: Any,
-    record: Any,
-) -> tuple[Any, Any]:
-    """Return the diffuse share of the sampled direction and of the light's, per channel in [0, 1].
-
-    Only a BSDF with diffuse and glossy lobes has to be evaluated for it. Past the split the light's share is needed
-    for tags alone.
-    """
-    flags = bsdf.flags()
-    mixed = materials.is_mixed(flags)
-    plain = dr.select(mi.has_flag(flags, mi.BSDFFlags.Diffuse), mi.Color3f(1), mi.Color3f(0))
-    wanted = lit & mixed if record is not None else lit & mixed & first
-    part = dr.dispatch(bsdf, materials.diffuse_value, si, wo, wanted)
-    light_share = dr.select(mixed, ratio(part, value), plain)
-    part = dr.dispatch(bsdf, materials.diffuse_value, si, sample.wo, sampled & mixed)
-    return dr.select(mixed, ratio(part, weight * sample.pdf), plain), light_share
-
-
-def ratio(part: Any, whole: Any) -> Any:
-    return dr.clip(dr.select(whole > 0, part / whole, 0), 0, 1)
+def diffuse_share(bsdf: Any, si: Any, wo: Any, value: Any, wanted: Any, settings: Settings) -> Any:
+    """Return the part of `value` (f|cos| for `wo`) that the diffuse lobes make up, per channel in [0, 1]."""
+    plain = dr.select(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Diffuse), mi.Color3f(1), mi.Color3f(0))
+    if not settings.lobes.mixed:
+        return plain
+    mixed = materials.is_mixed(bsdf.flags())
+    part = dr.dispatch(bsdf, materials.diffuse_value, si, wo, wanted & mixed)
+    return dr.select(mixed, dr.clip(dr.select(value > 0, part / value, 0), 0, 1), plain)
 
 
 def gather_guides(
-    path: Path, guides: Guides, si: Any, bsdf: Any, hit: Any, delta: Any, emitter_hit: Any, sample: Any
+    guides: Guides,
+    si: Any,
+    bsdf: Any,
+    hit: Any,
+    delta: Any,
+    emitter_hit: Any,
+    sample: Any,
+    settings: Settings,
 ) -> None:
-    """Fix the guide buffers at the first hit that scatters off a non-delta lobe, or emits, or ends the path."""
+    """Fix the guides at the first hit that scatters off a non-delta lobe, or emits, or ends the path."""
     guides.distance += dr.select(hit, si.t, 0)
     guides.covered |= hit & ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
     here = hit & ~guides.found & (emitter_hit | ~delta)
@@ -240,13 +252,16 @@ def gather_guides(
     albedo = dr.select(emitter_hit, mi.Color3f(1), dr.clip(albedo, 0, 1))
     guides.diffuse_albedo = dr.select(here, dr.clip(diffuse, 0, 1), guides.diffuse_albedo)
     guides.albedo = dr.select(here, albedo, guides.albedo)
-    guides.normal = dr.select(here, dr.mulsign(si.sh_frame.n, si.wi.z), guides.normal)
+    normal = dr.dispatch(bsdf, materials.normal, si, here) if settings.lobes.mapped else si.sh_frame.n
+    guides.normal = dr.select(here, dr.mulsign(normal, si.wi.z), guides.normal)
     guides.depth = dr.select(here, guides.distance, guides.depth)
     guides.found |= here
 
 
-def lobe_roughness(bsdf: Any, si: Any, on: Any) -> Any:
+def lobe_roughness(bsdf: Any, si: Any, on: Any, settings: Settings) -> Any:
     """Roughness of the glossy lobes of the BSDF, 0 where it has none."""
+    if not settings.lobes.glossy:
+        return mi.Float(0)
     return dr.dispatch(bsdf, materials.roughness, si, on & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Glossy))
 
 
@@ -286,7 +301,7 @@ def end_on_light(
 
 def scatter(record: Record, on: Any, sample: Any, weight: Any, alpha: Any, settings: Settings) -> None:
     """Append the sampled event to the walk; null events only leave their weight for the next vertex."""
-    on &= sample.pdf > 0
+    on = on & (sample.pdf > 0)
     null = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
     attenuation = weight * sample.pdf * record.pending
     vertex = Vertex(attenuation, tag_of(sample.sampled_type, alpha), roughness_of(sample.sampled_type, alpha))
@@ -300,7 +315,7 @@ def scatter(record: Record, on: Any, sample: Any, weight: Any, alpha: Any, setti
 
 
 def tag_of(sampled: Any, alpha: Any) -> Any:
-    """Reflection 1 or transmission 2, plus diffuse 4, glossy 8 or delta 16; generic for lobes without a name."""
+    """Reflection 1 or transmission 2, plus diffuse 4, glossy 8 or delta 16; generic for unnamed lobes."""
     flags = mi.BSDFFlags
     reflects, transmits = mi.has_flag(sampled, flags.Reflection), mi.has_flag(sampled, flags.Transmission)
     lobe = dr.select(mi.has_flag(sampled, flags.Diffuse), mi.Float(4),
