@@ -25,23 +25,18 @@ def render(
     out: Annotated[Path, typer.Option("--out", help="data set folder; views already in it are kept")],
     procedural: Annotated[int, typer.Option(help="number of procedural views")] = 0,
     library: Annotated[Path | None, typer.Option(help="folder of Mitsuba scenes")] = None,
-    views_per_scene: Annotated[int, typer.Option(help="views of each library scene")] = 4,
-    budget: Annotated[float, typer.Option(help="seconds of reference rendering per view and process")] = 10.0,
+    cameras: Annotated[int, typer.Option(help="views of each library scene")] = 4,
+    budget: Annotated[float, typer.Option(help="core-seconds of reference rendering per view")] = 10.0,
     size: Annotated[int, typer.Option(help="width and height of a view in pixels")] = 160,
+    spp: Annotated[int, typer.Option(help="samples with descriptors stored per pixel")] = 16,
+    workers: Annotated[int, typer.Option(help="views rendered at once")] = 2,
     seed: int = 0,
 ) -> None:
     """Render views with path descriptors and references."""
     from .render import render as run
 
-    run(
-        out,
-        procedural=procedural,
-        library=library,
-        views_per_scene=views_per_scene,
-        budget=budget,
-        seed=seed,
-        size=size,
-    )
+    counts = run(out, procedural, library, budget, seed, size, spp, cameras, workers=workers, console=console)
+    console.print(f"{out}: {counts['done']} views made, {counts['kept']} kept, {counts['failed']} failed")
 
 
 @app.command()

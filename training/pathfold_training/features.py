@@ -64,7 +64,7 @@ def branch_features(inputs: dict[str, Tensor], demodulate: bool) -> Tensor:
 def descriptor_features(descriptor: Tensor, log_exposure: Tensor) -> Tensor:
     """F's input from path descriptors N x 36 x H x W (paper: notes 2.1), `log_exposure` [N] or [1].
 
-    Natural logs cross the API; exposure is an addition to the six radiance-like channels, and a raw 0 stays at the floor.
+    Natural logs cross the API; exposure is an addition to the six radiance-like channels; a raw 0 stays at the floor.
     """
     shift = log_exposure.reshape(-1, 1, 1, 1).to(descriptor.dtype)
     light = descriptor[:, 0:6]

@@ -1,0 +1,1 @@
+"""Training of pathfold models: scenes, rendering, networks, export."""
