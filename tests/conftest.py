@@ -1,0 +1,26 @@
+"""Fixtures that several tests share."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="session")
+def tiny_models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of models with random weights: single-3, split-5, samples-5, ..."""
+    folder = tmp_path_factory.mktemp("models")
+    script = ROOT / "sdk" / "tests" / "make_test_models.py"
+    subprocess.run([sys.executable, str(script), str(folder)], check=True)
+    return folder
+
+
+@pytest.fixture
+def tiny(tiny_models: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The tiny models can be named."""
+    monkeypatch.setenv("PATHFOLD_MODEL_PATH", os.fspath(tiny_models))
+    return tiny_models
