@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pathfold import metrics
 from pathfold.denoising import Denoiser
 from pathfold.images import ImageFile
-from pathfold.report.peers import Oidn
+from pathfold.report.peers import oidn, oidn_prefiltered
 from rich.console import Console
 from rich.progress import Progress
 
@@ -96,8 +96,8 @@ def evaluate(scenes: Path, out: Path, models: list[str], spp: int = 8, seeds: in
 def peers(models: list[str]) -> dict[str, Callable[[Buffers], Image]]:
     """Method name -> buffers to picture: OIDN twice, then the models through the SDK."""
     methods: dict[str, Callable[[Buffers], Image]] = {}
-    for name, oidn in (("oidn", Oidn()), ("oidn-prefiltered", Oidn(prefilter=True))):
-        methods[name] = lambda b, run=oidn: run(b["color"], b["albedo"], b["normal"])  # type: ignore[misc]
+    for name, peer in (("oidn", oidn), ("oidn-prefiltered", oidn_prefiltered)):
+        methods[name] = lambda b, run=peer: run(b["color"], b["albedo"], b["normal"])  # type: ignore[misc]
     for model in models:
         denoiser = Denoiser(model)
         methods[Path(model).name] = lambda b, run=denoiser: run.run_buffers(b).color  # type: ignore[misc]

@@ -24,9 +24,10 @@ def oidn_prefiltered(color: Image, albedo: Image, normal: Image) -> Image:
 
 def _prefiltered(name: str, guide: Image) -> Image:
     pyoidn = _pyoidn()
+    guide = np.ascontiguousarray(guide, np.float32)  # before empty_like, which keeps strides
     clean = np.empty_like(guide)
     with pyoidn.Filter(_device(), "RT") as prefilter:
-        prefilter.set_image(name, np.ascontiguousarray(guide), pyoidn.OIDN_FORMAT_FLOAT3)
+        prefilter.set_image(name, guide, pyoidn.OIDN_FORMAT_FLOAT3)
         prefilter.set_image("output", clean, pyoidn.OIDN_FORMAT_FLOAT3)
         prefilter.set_quality(pyoidn.OIDN_QUALITY_HIGH)
         prefilter.commit()
