@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+# before torch is imported: several test processes whose threads wait for each other crawl
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).parent.parent
 
 

@@ -38,7 +38,7 @@ def config(embedding: int) -> Config:
 def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Denoising]:
     folder = tmp_path_factory.mktemp("export")
     run = folder / "run"
-    checkpoint = fit(config(request.param), write_data_set(folder / "data"), run, validate_every=1000)
+    checkpoint = fit(config(request.param), write_data_set(folder / "data"), run, validate_every=1000, threads=1)
     record = json.loads((run / "record.json").read_text())
     return export(checkpoint, folder / "model", record, standalone=True), load_task(checkpoint)[0]
 

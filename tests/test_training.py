@@ -34,15 +34,15 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_both_networks_learn(data_set: Path, tmp_path: Path) -> None:
-    before = weights(fit(with_steps(TINY, 1), data_set, tmp_path / "one", validate_every=1000))
-    after = weights(fit(with_steps(TINY, 3), data_set, tmp_path / "three", validate_every=1000))
+    before = weights(fit(with_steps(TINY, 1), data_set, tmp_path / "one", validate_every=1000, threads=1))
+    after = weights(fit(with_steps(TINY, 3), data_set, tmp_path / "three", validate_every=1000, threads=1))
     moved = [name for name in before if not torch.equal(before[name], after[name])]
     assert any("trunk" in name for name in moved)
     assert any("paths" in name for name in moved)  # F learns from the same loss
 
 
 def test_resumed_run_equals_the_whole_one(data_set: Path, tmp_path: Path) -> None:
-    whole = weights(fit(TINY, data_set, tmp_path / "whole", seed=3, validate_every=1000))
+    whole = weights(fit(TINY, data_set, tmp_path / "whole", seed=3, validate_every=1000, threads=1))
 
     class InterruptError(Exception):
         pass
@@ -60,19 +60,19 @@ def test_resumed_run_equals_the_whole_one(data_set: Path, tmp_path: Path) -> Non
     Crops.draw = stops  # type: ignore[method-assign,assignment]
     try:
         with pytest.raises(InterruptError):
-            fit(TINY, data_set, tmp_path / "parts", seed=3, validate_every=1000, save_every=2)
+            fit(TINY, data_set, tmp_path / "parts", seed=3, validate_every=1000, threads=1, save_every=2)
     finally:
         Crops.draw = original  # type: ignore[method-assign]
-    resumed = weights(fit(TINY, data_set, tmp_path / "parts", seed=3, validate_every=1000))
+    resumed = weights(fit(TINY, data_set, tmp_path / "parts", seed=3, validate_every=1000, threads=1))
     for name, value in whole.items():
         torch.testing.assert_close(resumed[name], value, rtol=0, atol=0, msg=name)
 
 
 def test_start_from_copies_the_shared_weights(data_set: Path, tmp_path: Path) -> None:
     vanilla = TINY.model_copy(update={"name": "base", "network": TINY.network.model_copy(update={"embedding": 0})})
-    base = fit(with_steps(vanilla, 1), data_set, tmp_path / "base", validate_every=1000)
+    base = fit(with_steps(vanilla, 1), data_set, tmp_path / "base", validate_every=1000, threads=1)
     frozen = TINY.model_copy(update={"optimiser": TINY.optimiser.model_copy(update={"learning_rate": 0.0, "steps": 1})})
-    begun = weights(fit(frozen, data_set, tmp_path / "begun", validate_every=1000, start_from=base))
+    begun = weights(fit(frozen, data_set, tmp_path / "begun", validate_every=1000, threads=1, start_from=base))
     shared = weights(base)
     first = "model.branches.diffuse.trunk.0.weight"
     extra = begun[first].shape[1] - shared[first].shape[1]
@@ -86,7 +86,7 @@ def test_start_from_copies_the_shared_weights(data_set: Path, tmp_path: Path) ->
 
 
 def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path) -> None:
-    fit(with_steps(TINY, 1), data_set, tmp_path / "run", validate_every=1000)
+    fit(with_steps(TINY, 1), data_set, tmp_path / "run", validate_every=1000, threads=1)
     with pytest.raises(ValueError, match="another preset"):
         fit(with_steps(TINY, 2), data_set, tmp_path / "run")
     with pytest.raises(FileNotFoundError, match="pathfold-train render"):

@@ -62,7 +62,6 @@ def fit(
     out.mkdir(parents=True, exist_ok=True)
     last = out / "last.ckpt"
     done = completed_steps(last, config)
-    write_record(out, config, data, seed, start_from)
     on_terminal = Console().is_terminal
     trainer = lightning.Trainer(
         default_root_dir=out,
@@ -75,7 +74,7 @@ def fit(
         check_val_every_n_epoch=None,
         num_sanity_val_steps=0,
         log_every_n_steps=25,
-        logger=CSVLogger(out, name="log", version=0),
+        logger=CSVLogger(out, name="log"),
         callbacks=[
             ModelCheckpoint(out, save_last=True, save_top_k=0, every_n_train_steps=min(save_every, config.optimiser.steps)),
             TrainingSeconds(),
@@ -85,13 +84,15 @@ def fit(
     )
     paths = config.network.embedding > 0
     crops = Crops(data, config.data, seed, paths, skip=done)
+    held_out = ValidationViews(data, paths)
+    write_record(out, config, data, seed, start_from)
     # batches are made whole by the data sets; one process keeps the batch stream and the resume exact
     train = DataLoader(crops, batch_size=None, num_workers=0)
-    held_out = DataLoader(ValidationViews(data, paths), batch_size=None, num_workers=0)
+    validation = DataLoader(held_out, batch_size=None, num_workers=0)
     task = Denoising(config)
     if start_from and not last.is_file():
         warm_start(task, start_from)
-    trainer.fit(task, train, held_out, ckpt_path=last if last.is_file() else None, weights_only=False)
+    trainer.fit(task, train, validation, ckpt_path=last if last.is_file() else None, weights_only=False)
     return last
 
 
