@@ -63,20 +63,21 @@ def fit(
     last = out / "last.ckpt"
     done = completed_steps(last, config)
     on_terminal = Console().is_terminal
+    options = config.optimiser
     trainer = lightning.Trainer(
         default_root_dir=out,
-        max_steps=config.optimiser.steps,
+        max_steps=options.steps,
         accelerator="auto",
         devices=1,
-        precision="bf16-mixed" if config.optimiser.precision == "bf16" else "32-true",
-        gradient_clip_val=config.optimiser.clip,
+        precision="bf16-mixed" if options.precision == "bf16" else "32-true",
+        gradient_clip_val=options.clip,
         val_check_interval=validate_every,
         check_val_every_n_epoch=None,
         num_sanity_val_steps=0,
         log_every_n_steps=25,
         logger=CSVLogger(out, name="log"),
         callbacks=[
-            ModelCheckpoint(out, save_last=True, save_top_k=0, every_n_train_steps=min(save_every, config.optimiser.steps)),
+            ModelCheckpoint(out, save_last=True, save_top_k=0, every_n_train_steps=min(save_every, options.steps)),
             TrainingSeconds(),
             RichProgressBar() if on_terminal else TQDMProgressBar(refresh_rate=50),
         ],
