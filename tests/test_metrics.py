@@ -76,9 +76,7 @@ def test_shapes_that_differ_are_named() -> None:
 
 
 @pytest.mark.parametrize(("metric", "package"), [("ssim", "scikit-image"), ("flip", "flip-evaluator")])
-def test_a_missing_package_names_its_extra(
-    monkeypatch: pytest.MonkeyPatch, metric: str, package: str
-) -> None:
+def test_a_missing_package_names_its_extra(monkeypatch: pytest.MonkeyPatch, metric: str, package: str) -> None:
     real = builtins.__import__
 
     def absent(name: str, *args: object, **kwargs: object) -> object:

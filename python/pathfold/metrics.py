@@ -113,6 +113,4 @@ def _pair(image: ArrayLike, reference: ArrayLike) -> tuple[Image, Image]:
 
 
 def _missing(metric: str, package: str) -> ModuleNotFoundError:
-    return ModuleNotFoundError(
-        f"{metric} needs {package}, which is not installed: pip install 'pathfold[bench]'"
-    )
+    return ModuleNotFoundError(f"{metric} needs {package}, which is not installed: pip install 'pathfold[bench]'")

@@ -27,7 +27,7 @@ from pathfold.report import Method, page, peers, picture, tables
 
 MODELS = ("kpcn-vanilla", "kpcn-manifold")
 ROUNDS = 5
-CHUNK = 32  # samples per pixel and call of the reference
+CHUNK = 16  # samples per pixel and call of the reference
 # Where to look closely, as shares of the frame: left, top, width (the height follows).
 CROPS = ((0.12, 0.18, 0.16), (0.5, 0.3, 0.16), (0.74, 0.42, 0.16))
 SEED, REFERENCE_SEED = 1, 100_000
@@ -38,9 +38,9 @@ Image = NDArray[np.float32]
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("out/demo"),
     spp: Annotated[int, typer.Option(min=2, help="Samples per pixel of the noisy picture.")] = 8,
-    size: Annotated[str, typer.Option(metavar="WxH")] = "480x320",
-    reference_spp: Annotated[int, typer.Option(min=2, help="Of both halves together, at most.")] = 2048,
-    reference_seconds: Annotated[float, typer.Option(help="The reference stops here with what it has.")] = 120,
+    size: Annotated[str, typer.Option(metavar="WxH")] = "420x280",
+    reference_spp: Annotated[int, typer.Option(min=2, help="Of both halves together, at most.")] = 4096,
+    seconds: Annotated[float, typer.Option(help="The reference ends when so much time has passed.")] = 225,
 ) -> None:
     """Render, denoise, compare; write a table, a picture and a page."""
     start = perf_counter()
@@ -48,7 +48,7 @@ def demo(
     load_mitsuba("llvm_ad_rgb")
     from pathfold.report.scene import MAX_DEPTH, still_life
 
-    width, height = parse_size(size) or (480, 320)
+    width, height = parse_size(size) or (420, 280)
     scene = still_life(width, height)
     console.say(f"rendering {width}x{height} at {spp} spp")
     plain_ms, _ = timed(lambda: traced(scene, spp, MAX_DEPTH, False))
@@ -72,7 +72,7 @@ def demo(
     methods = [noisy, same_time, *denoised]
 
     console.say("rendering the reference")
-    a, b, reached = reference(scene, reference_spp, reference_seconds)
+    a, b, reached = reference(scene, reference_spp, start + seconds)
     mean = ((a + b) / 2).astype(np.float32)
     for method in methods:
         method.errors = metrics.compare(method.image, mean) | {"rell2": metrics.rell2_halves(method.image, a, b)}
@@ -136,11 +136,10 @@ def equal_time(scene: Any, spp: int, budget_ms: float) -> Method:
     return Method(f"{count} spp, same time", image, render_ms=1000 * (perf_counter() - start))
 
 
-def reference(scene: Any, spp: int, seconds: float) -> tuple[Image, Image, int]:
-    """Two independent halves by Mitsuba's path tracer, and the samples per pixel of both together."""
+def reference(scene: Any, spp: int, end: float) -> tuple[Image, Image, int]:
+    """Two independent halves by Mitsuba's path tracer, and the samples per pixel that both reached by `end`."""
     import mitsuba as mi
 
-    start = perf_counter()
     sums: list[Any] = [0.0, 0.0]
     rounds, chunk = max(1, spp // (2 * CHUNK)), min(CHUNK, max(1, spp // 2))
     with console.progress("reference") as bar:
@@ -149,7 +148,7 @@ def reference(scene: Any, spp: int, seconds: float) -> tuple[Image, Image, int]:
                 image = mi.render(scene, spp=chunk, seed=mi.UInt32(REFERENCE_SEED + 2 * done + half))
                 sums[half] = sums[half] + np.array(image, np.float64)[..., :3]
             bar((done + 1) / rounds)
-            if perf_counter() - start > seconds:
+            if perf_counter() > end:
                 break
     a, b = ((total / (done + 1)).astype(np.float32) for total in sums)
     return a, b, 2 * chunk * (done + 1)
