@@ -7,7 +7,7 @@ import pytest
 import torch
 from pathfold_training.config import Network, load_preset, preset_names
 from pathfold_training.features import OPTIONAL
-from pathfold_training.losses import manifold_loss, relative_huber, tone_map
+from pathfold_training.losses import manifold_loss, robust_relative, tone_map
 from pathfold_training.networks.embedding import PathEmbedding, pixel_embedding
 from pathfold_training.networks.kpcn import Branch, Kpcn, macs_per_pixel, overlap
 from pathfold_training.networks.reconstruct import gather
@@ -163,8 +163,8 @@ def test_manifold_loss_of_one_known_pair() -> None:
     assert float(loss) == pytest.approx(term, rel=0.05)  # local and non-local each hit unlike pixels half the time
 
 
-def test_relative_huber() -> None:
+def test_robust_relative() -> None:
     scale = torch.full((1, 3, 1, 2), 2.0)
     reference = torch.zeros(1, 3, 1, 2)
     output = torch.tensor([1.0, 6.0]).expand(1, 3, 1, 2)
-    assert float(relative_huber(output, reference, scale)) == pytest.approx((0.25 + 8.0) / 2)
+    assert float(robust_relative(output, reference, scale)) == pytest.approx((0.25 + 4 + 8 * np.log(1.5)) / 2)

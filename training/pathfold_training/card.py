@@ -45,7 +45,7 @@ tags: [monte-carlo-denoising, kernel-prediction]
 | | |
 |---|---|
 | steps | {steps} |
-| loss | relative Huber on the image, {weights} |
+| loss | robust relative error of the image, {weights} |
 | optimiser | Adam, learning rate {rate} |
 | views | {data["views"]} for training ({data["procedural"]} procedural), {data["validation_views"]} held out |
 | library scenes | {scenes} |

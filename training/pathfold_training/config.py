@@ -28,6 +28,7 @@ class Loss(Strict):
     """Weights of the terms, see losses.py."""
 
     branch: float = 0.5  # per-branch terms beside the recombined image
+    logits: float = 1.0e-3  # excess of |logit| over 10
     manifold: float = 0.0  # lambda of the slides' formula; 0.0125 is the paper's 0.1 (DESIGN: code is 1/8 of it)
     manifold_pairs: int = 16384  # local and non-local pairs drawn per image, each
 
@@ -45,7 +46,7 @@ class Data(Strict):
 
 class Optimiser(Strict):
     steps: int = 4000
-    learning_rate: float = 1.0e-3
+    learning_rate: float = 5.0e-4
     warmup: int = 100
     final_fraction: float = 0.01  # of the learning rate, at the end of the cosine
     clip: float = 1.0  # gradient norm

@@ -8,6 +8,7 @@ from torch import Tensor
 
 RELATIVE_EPSILON = 0.01  # RelL2's, in exposed units
 GAMMA = 1 / 2.2
+LOGIT_LIMIT = 10.0
 
 
 def error_scale(reference: Tensor) -> Tensor:
@@ -20,10 +21,19 @@ def error_scale(reference: Tensor) -> Tensor:
     return torch.sqrt(smooth.square() + RELATIVE_EPSILON)
 
 
-def relative_huber(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
-    """Mean of the Huber function of the relative error: d^2 up to |d| = 2, then 4|d| - 4. Exposed radiance."""
+def robust_relative(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
+    """Mean over a robust function of the relative error d: d^2 up to |d| = 2, then 4 + 8 ln(|d| / 2). Exposed radiance.
+
+    The tail is a logarithm: with a linear one, light leaking from emitters (|d| in the hundreds) outweighs all else and
+    drives a branch to the identity before it has learned to tell pixels apart.
+    """
     d = ((output - reference) / scale).abs()
-    return torch.where(d < 2.0, d.square(), 4.0 * d - 4.0).mean()
+    return torch.where(d < 2.0, d.square(), 4.0 + 8.0 * torch.log(torch.clamp(d, min=2.0) / 2.0)).mean()
+
+
+def logit_excess(logits: Tensor) -> Tensor:
+    """Mean squared excess of |logit| over 10: keeps softmax kernels from saturating, where no gradient leads back."""
+    return torch.relu(logits.abs() - LOGIT_LIMIT).square().mean()
 
 
 def tone_map(radiance: Tensor) -> Tensor:

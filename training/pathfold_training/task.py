@@ -13,7 +13,7 @@ from torch import Tensor
 from .config import Config
 from .data import Batch, Inputs
 from .features import DEMODULATION_EPSILON
-from .losses import error_scale, manifold_loss, relative_huber, tone_map
+from .losses import error_scale, logit_excess, manifold_loss, robust_relative, tone_map
 from .networks.kpcn import Kpcn, path_features
 from .networks.reconstruct import gather
 
@@ -72,7 +72,7 @@ class Denoising(lightning.LightningModule):
         offset = (int(phase[0]), int(phase[1]))
         reference = batch.reference["color"] * batch.inputs["exposure"].reshape(-1, 1, 1, 1)
         scale = on_lattice(error_scale(reference), lattice, offset)
-        image, terms, manifold = torch.zeros_like(scale), [], []
+        image, terms, excess, manifold = torch.zeros_like(scale), [], [], []
         if self.config.network.embedding:
             batch.inputs["samples.features"] = path_features(batch.inputs, batch.counts).to(
                 memory_format=torch.channels_last
@@ -83,13 +83,14 @@ class Denoising(lightning.LightningModule):
             with torch.autocast(self.device.type, enabled=False):
                 filtered = gather(logits.float(), target.radiance, self.config.network.kernel_size, lattice, offset)
                 filtered = filtered * on_lattice(target.remodulate, lattice, offset)
-                terms.append(relative_huber(filtered, on_lattice(target.reference, lattice, offset), scale))
+                excess.append(logit_excess(logits.float()))
+                terms.append(robust_relative(filtered, on_lattice(target.reference, lattice, offset), scale))
                 image = image + filtered
                 if paths is not None and self.config.loss.manifold > 0.0:
                     pairs = self.config.loss.manifold_pairs
                     manifold.append(manifold_loss(paths, tone_map(target.label), batch.counts, pairs, self.generator))
-        error = relative_huber(image, on_lattice(reference, lattice, offset), scale)
-        loss = error + self.config.loss.branch * sum(terms)
+        error = robust_relative(image, on_lattice(reference, lattice, offset), scale)
+        loss = error + self.config.loss.branch * sum(terms) + self.config.loss.logits * sum(excess)
         if manifold:
             loss = loss + self.config.loss.manifold * sum(manifold)
             self.log("manifold", sum(manifold), prog_bar=True, batch_size=len(batch.counts))

@@ -31,6 +31,10 @@ class Branch(nn.Module):
         self.trunk = nn.Sequential(*layers)
         last = network.last_kernel
         self.head = nn.Conv2d(network.width, network.kernel_size**2, last, padding=last // 2)
+        for layer in self.trunk:
+            if isinstance(layer, nn.Conv2d):  # torch's default halves the signal with every layer
+                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+                nn.init.zeros_(layer.bias)
 
     def input_names(self) -> list[str]:
         """Graph inputs in order; B = 1 when exported."""
