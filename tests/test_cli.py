@@ -254,6 +254,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "one output": (["denoise", tmp_path / "f.####.exr", *out], 3, "needs #### in the name of its output"),
         "no scene": (["render", tmp_path / "no.xml", *scene], 3, "no such file"),
         "bad scene": (["render", tmp_path / "broken.xml", *scene], 3, "broken.xml: not a scene"),
+        "not to EXR": (["render", good, "-o", tmp_path / "out.png"], 5, "need an EXR; name it out.exr"),
         "bad size": (["render", tmp_path / "broken.xml", *scene, "--size", "9"], 3, "--size 9"),
         "sizes differ": (["compare", good, small], 3, "good.exr is 12x9"),
         "not finite": (["compare", nan, good], 3, "nan.exr: 108 pixels are not finite"),
@@ -265,7 +266,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
 CASES = (
     "missing file", "not an EXR", "display values", "no color", "no samples", "no such layer", "bad map", "guide size",
     "no model", "no provider", "no output", "output folder", "output type", "no frames", "one output", "no scene",
-    "bad scene", "bad size", "sizes differ", "not finite", "unknown command", "info on nothing",
+    "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
 )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ pytest.importorskip("flip_evaluator")
 
 from pathfold import metrics
 from pathfold.report import Method, page, picture, tables
-from pathfold.report.demo import write
+from pathfold.report.demo import make_folder, write
 from pathfold.report.method import best
 
 SIZE = (24, 36)
@@ -112,7 +112,8 @@ def test_names_are_escaped(methods: list[Method], tmp_path: Path) -> None:
 
 
 def test_the_demo_writes_its_four_files(methods: list[Method], tmp_path: Path) -> None:
-    write(tmp_path / "out", methods, 8, ["A note."], {"Scene": "made of formulas"})
-    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    make_folder(tmp_path / "a" / "out")
+    write(tmp_path / "a" / "out", methods, 8, ["A note."], {"Scene": "made of formulas"})
+    names = sorted(path.name for path in (tmp_path / "a" / "out").iterdir())
     assert names == ["index.html", "picture.png", "results.json", "table.md"]
-    assert "A note." in (tmp_path / "out" / "table.md").read_text()
+    assert "A note." in (tmp_path / "a" / "out" / "table.md").read_text()

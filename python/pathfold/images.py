@@ -200,14 +200,7 @@ def write_parts(
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place on success and is removed on failure."""
     final = Path(path)
-    if final.is_dir():
-        raise OutputError(f"{final}: is a folder; name a file")
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{final.stem}-", suffix=final.suffix, dir=final.parent)
-    except OSError as error:
-        raise OutputError(f"{final}: cannot be written: {error.strerror}: '{final.parent}'") from error
-    os.close(handle)
-    unfinished = Path(name)
+    unfinished = _placeholder(final)
     try:
         yield unfinished
         unfinished.chmod(0o666 & ~_umask())
@@ -215,10 +208,27 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise OutputError(f"{final}: cannot be written: {error.strerror}") from error
     except OutputError as error:
-        raise OutputError(str(error).replace(name, str(final))) from error
+        raise OutputError(str(error).replace(str(unfinished), str(final))) from error
     finally:
         with suppress(FileNotFoundError):
             unfinished.unlink()
+
+
+def check_output(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError now, not after long work, where `path` could not be written."""
+    _placeholder(Path(path)).unlink()
+
+
+def _placeholder(final: Path) -> Path:
+    """An empty file beside `final`, of the same type."""
+    if final.is_dir():
+        raise OutputError(f"{final}: is a folder; name a file")
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{final.stem}-", suffix=final.suffix, dir=final.parent)
+    except OSError as error:
+        raise OutputError(f"{final}: cannot be written: {error.strerror}: '{final.parent}'") from error
+    os.close(handle)
+    return Path(name)
 
 
 class _Writer:

@@ -46,7 +46,10 @@ def denoise(
     pairs = expand(source, output)
     from pathfold.denoising import Denoiser
     from pathfold.files import denoise_file
+    from pathfold.images import check_output
 
+    for _, clean in pairs:
+        check_output(clean)
     denoiser = Denoiser(model, provider=provider, threads=threads, memory_mb=memory)
     exposures = [] if exposure is None else [exposure]
     for number, (noisy, clean) in enumerate(pairs):

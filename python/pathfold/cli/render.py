@@ -50,8 +50,13 @@ def render(
     """
     from pathfold import models, version
     from pathfold.denoising import Denoiser
+    from pathfold.images import OutputError, check_output
 
-    denoiser = Denoiser(model) if model else None  # a model that is not there is found out before rendering
+    # What is not there or cannot be written is found out before rendering.
+    if output.suffix.lower() != ".exr":
+        raise OutputError(f"{output}: buffers and samples need an EXR; name it {output.with_suffix('.exr').name}")
+    check_output(output)
+    denoiser = Denoiser(model) if model else None
     reader = model or for_model
     wanted = models.inputs(reader) if reader else models.shipped_inputs()
     camera = Camera(scene, variant, sensor, parse_size(size))
@@ -94,7 +99,8 @@ class Camera:
         if not path.is_file():
             raise InputError(f"{path}: no such file; a Mitsuba 3 scene (.xml) is wanted")
         try:
-            self._scene = mi.load_file(str(path))
+            # Merged meshes come in any order, and with them the lights: equal seeds would not give equal pictures.
+            self._scene = mi.load_file(str(path), optimize=False)
         except Exception as error:  # Mitsuba raises whatever its parsers raise
             raise InputError(f"{path}: not a scene that Mitsuba can load: {_last_words(error)}") from error
         if sensor >= len(self._scene.sensors()):

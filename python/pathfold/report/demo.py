@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from pathfold import Denoiser, metrics
 from pathfold.cli import console
 from pathfold.cli.render import load_mitsuba, parse_size
+from pathfold.images import OutputError, check_output
 from pathfold.report import Method, page, peers, picture, tables
 
 MODELS = ("kpcn-vanilla", "kpcn-manifold")
@@ -44,6 +45,7 @@ def demo(
 ) -> None:
     """Render, denoise, compare; write a table, a picture and a page."""
     start = perf_counter()
+    make_folder(out)
     denoisers = {name: Denoiser(name) for name in MODELS}
     load_mitsuba("llvm_ad_rgb")
     from pathfold.report.scene import MAX_DEPTH, still_life
@@ -190,9 +192,16 @@ def processor() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
+def make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be made: {error.strerror}") from error
+    check_output(out / "index.html")
+
+
 def write(out: Path, methods: list[Method], spp: int, notes: list[str], facts: dict[str, str]) -> None:
-    """Write the four files; `methods` ends with the reference."""
-    out.mkdir(parents=True, exist_ok=True)
+    """Write the four files into a folder; `methods` ends with the reference."""
     measured, truth = methods[:-1], methods[-1]
     scale = metrics.exposure(truth.image)
     height, width = truth.image.shape[:2]
