@@ -7,6 +7,7 @@ BSDF while the kernel is traced and walk into wrappers (mask, twosided, blendbsd
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import drjit as dr
@@ -25,17 +26,27 @@ MIN_ALPHA = 1e-3  # floor of Mitsuba's principled BSDFs
 UNKNOWN_ALPHA = 0.5
 
 
-def children(bsdf: Any) -> dict[str, Any]:
-    """Return the named objects (textures, nested BSDFs) one level below a BSDF."""
+@cache
+def _collector(variant: str) -> type:
+    """Return the class that lists the objects below another; its base differs between Mitsuba's variants."""
 
-    class Collector(mi.TraversalCallback):
+    class Collector(mi.TraversalCallback):  # type: ignore[misc, name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            self.found: dict[str, Any] = {}
+
         def put(self, name: str, value: Any, flags: int, cpptype: Any = None) -> None:
             if isinstance(value, mi.Object):
-                found[name] = value
+                self.found[name] = value
 
-    found: dict[str, Any] = {}
-    bsdf.traverse(Collector())
-    return found
+    return Collector
+
+
+def children(node: Any) -> dict[str, Any]:
+    """Return the named objects (textures, nested BSDFs) one level below an object."""
+    collector = _collector(mi.variant())()
+    node.traverse(collector)
+    return collector.found
 
 
 def leaves(bsdf: Any) -> list[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -11,12 +12,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from . import materials
+from . import descriptor, materials
 from .film import Film
-from .walk import Guides, Path, Record, Settings, Vertex, walk
+from .walk import Guides, Path, Settings, walk
 
-DEAD = -100.0  # stands for the logarithm of 0 in a descriptor
-LOG_FLOOR = float(np.log(1e-30))
 MAX_LANES = 2**32 // 36
 CHUNK_LANES = 1 << 22  # samples that trace_mean holds at once
 
@@ -112,9 +111,9 @@ def trace(
     # Sample-major lanes: every channel is a plane S x H x W as it leaves the device.
     pixel = dr.arange(mi.UInt32, film.pixels * spp) % film.pixels
     position, path, guides, record = launch(scene, camera, film, pixel, (seed, 0), settings)
-    columns = pack(camera, path, guides) | {"position": list(position)}
+    columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
     if record is not None:
-        columns |= describe(record)
+        columns |= descriptor.channels(record)
     dr.eval(columns)
     return Samples(**{name: to_host(channels, spp, film) for name, channels in columns.items()})
 
@@ -143,11 +142,11 @@ def trace_mean(
         # Pixel-major lanes: the samples of a pixel lie side by side and are summed as a block.
         pixel = dr.arange(mi.UInt32, film.pixels * size) // size
         _, path, guides, _ = launch(scene, camera, film, pixel, (seed, 1, index), settings)
-        columns = pack(camera, path, guides, mi.Float)
-        finite = mi.Bool(True)
+        columns = pack(camera, path, guides, list)
+        finite = dr.full(mi.Bool, True, film.pixels * size)
         for channel in chain.from_iterable(columns.values()):
             finite &= dr.isfinite(channel)
-        columns["count"] = [dr.full(mi.Float, 1, film.pixels * size)]
+        columns["count"] = [mi.Float(1)]
         columns = {name: [dr.select(finite, c, 0) for c in channels] for name, channels in columns.items()}
         dr.eval(columns)  # one kernel: sums of unevaluated columns would each trace all paths again
         for name, channels in columns.items():
@@ -188,7 +187,7 @@ def check(scene: Any, spp: int, seed: int, sensor: int, max_depth: int, rr_depth
 
 def launch(
     scene: Any, camera: Any, film: Film, pixel: Any, entropy: tuple[int, ...], settings: Settings
-) -> tuple[Any, Path, Guides, Record | None]:
+) -> tuple[Any, Path, Guides, descriptor.Record | None]:
     """Trace one path per lane through its pixel; return its film position first."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(int(np.random.SeedSequence(entropy).generate_state(1)[0]), dr.width(pixel))
@@ -201,15 +200,8 @@ def launch(
     return offset, path, guides, record
 
 
-def half(channels: Any) -> list[Any]:
-    """Convert device arrays to float16 where they are."""
-    float16 = dr.float16_array_t(mi.Float)
-    return [float16(channel) for channel in channels]
-
-
-def pack(camera: Any, path: Path, guides: Guides, guide_type: Any = None) -> dict[str, list[Any]]:
-    """Return the channels of every buffer as device arrays: radiance and depth in float32, guides in float16."""
-    narrow = half if guide_type is None else list
+def pack(camera: Any, path: Path, guides: Guides, narrow: Callable[[Any], list[Any]]) -> dict[str, list[Any]]:
+    """Return the channels of every buffer as device arrays; `narrow` makes lists of guides, which bear float16."""
     normal = camera.world_transform().inverse() @ guides.normal
     normal = dr.select(guides.found, normal * dr.rsqrt(dr.maximum(dr.squared_norm(normal), 1e-20)), 0)
     return {
@@ -223,38 +215,12 @@ def pack(camera: Any, path: Path, guides: Guides, guide_type: Any = None) -> dic
     }
 
 
-def describe(record: Record) -> dict[str, list[Any]]:
-    """Return descriptor, density and overlong flag of the dominant contribution, or of a walk without one."""
-    lit = record.best > 0
-    sampled = lit & record.end_sampled
-    count = dr.select(lit, record.end_count, record.count)
-    attenuations, tags, roughnesses = [], [], []
-    product = mi.Color3f(0)
-    for slot, vertex in enumerate(record.walk):
-        ends = sampled & (count == slot)
-        alive = ends | (count > slot)
-        vertex = dr.select(alive, dr.select(ends, record.end, vertex), Vertex.empty())
-        attenuations.extend(logarithm(vertex.attenuation))
-        product += dr.select(alive, dr.log(vertex.attenuation), 0)
-        tags.append(vertex.tag)
-        roughnesses.append(vertex.roughness)
-    photon = dr.select(lit, record.photon, 0)
-    product += dr.log(photon)
-    undivided = dr.select(dr.isfinite(product), dr.maximum(product, LOG_FLOOR), DEAD)
-    total = count + dr.select(sampled, mi.UInt32(1), 0)
-    return {
-        "descriptor": half([*undivided, *logarithm(photon), *attenuations, *tags, *roughnesses]),
-        "density": [dr.select(lit, record.end_density, record.log_density)],
-        "overlong": half([dr.select(total > len(record.walk), mi.Float(1), 0)]),
-    }
-
-
-def logarithm(color: Any) -> Any:
-    """ln(max(x, 1e-30)) per channel, DEAD for 0."""
-    return dr.select(color > 0, dr.maximum(dr.log(color), LOG_FLOOR), DEAD)
-
-
 def to_host(channels: list[Any], spp: int, film: Film) -> NDArray[Any]:
     """Stack planes of sample-major lanes into an array seen as S x H x W x C."""
-    planes = [channel.numpy().reshape(spp, film.height, film.width) for channel in channels]
-    return np.moveaxis(np.stack(planes, 1), 1, -1)
+    shape = spp, film.height, film.width
+    dtype = channels[0].numpy().dtype
+    planes = np.empty((spp, len(channels), film.height, film.width), dtype)
+    for index, channel in enumerate(channels):
+        values = channel.numpy()
+        planes[:, index] = values.reshape(shape) if values.size > 1 else values
+    return np.moveaxis(planes, 1, -1)
