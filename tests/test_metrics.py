@@ -64,7 +64,8 @@ def test_ssim_and_flip_are_the_packages_own() -> None:
     flip_evaluator = pytest.importorskip("flip_evaluator")
     assert metrics.flip(image, reference) == pytest.approx(flip_evaluator.evaluate(r, x, "LDR")[1])
     assert metrics.flip(reference, reference) == pytest.approx(0, abs=1e-6)
-    assert metrics.flip_map(image, reference).shape == reference.shape
+    assert metrics.flip_map(image, reference).shape == reference.shape[:2]
+    assert metrics.flip_map(image, reference).mean() == pytest.approx(metrics.flip(image, reference), rel=1e-4)
     assert list(metrics.compare(image, reference)) == ["rell2", "smape", "ssim", "flip"]
 
 

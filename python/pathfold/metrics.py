@@ -67,8 +67,8 @@ def flip(image: ArrayLike, reference: ArrayLike) -> float:
 
 
 def flip_map(image: ArrayLike, reference: ArrayLike) -> NDArray[np.float32]:
-    """The picture of FLIP errors, height x width x 3, in FLIP's own colours (magma, [0, 1])."""
-    return np.asarray(_flip(image, reference)[0])
+    """The FLIP error of every pixel, height x width, in [0, 1]."""
+    return np.asarray(_flip(image, reference)[0], np.float32).reshape(np.shape(reference)[:2])
 
 
 def compare(image: ArrayLike, reference: ArrayLike) -> dict[str, float]:
@@ -101,7 +101,9 @@ def _flip(image: ArrayLike, reference: ArrayLike) -> tuple[Any, float, Any]:
         raise _missing("FLIP", "flip-evaluator") from error
     x, r = _pair(image, reference)
     scale = exposure(r)
-    result: tuple[Any, float, Any] = flip_evaluator.evaluate(display(r, scale), display(x, scale), "LDR")
+    result: tuple[Any, float, Any] = flip_evaluator.evaluate(
+        display(r, scale), display(x, scale), "LDR", applyMagma=False
+    )
     return result
 
 

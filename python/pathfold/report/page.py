@@ -11,6 +11,8 @@ from pathfold.report import tables
 from pathfold.report.method import METRICS, Method, best
 from pathfold.report.picture import caption_of, png
 
+ERROR_GAIN = 4  # FLIP errors of denoised pictures are small; the map is white from 1/4 on
+
 
 def save(
     path: Path,
@@ -26,6 +28,7 @@ def save(
 ) -> None:
     """Write the page. `methods` ends with the reference; `before` and `after` name what the slider starts with."""
     from jinja2 import Environment
+    from matplotlib import colormaps
 
     template = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(
         (files(__package__) / "page.html").read_text(encoding="utf-8")
@@ -36,7 +39,7 @@ def save(
             "name": method.name,
             "caption": caption_of(method),
             "image": _data(png(metrics.display(method.image, scale))),
-            "error": _data(png(metrics.flip_map(method.image, reference))),
+            "error": _data(png(colormaps["magma"](ERROR_GAIN * metrics.flip_map(method.image, reference))[..., :3])),
         }
         for method in methods
     ]
@@ -55,6 +58,7 @@ def save(
         views=views,
         header=tables.HEADER,
         rows=rows,
+        gain=ERROR_GAIN,
         width=width,
         height=height,
         before=names.index(before),

@@ -66,7 +66,7 @@ def save(path: Path, methods: Sequence[Method], crops: Sequence[Crop], scale: fl
 def caption_of(method: Method) -> str:
     """The headline figures of a method in one line."""
     shown = [f"{TITLES[metric]} {method.errors[metric]:.3f}" for metric in METRICS[:1] if metric in method.errors]
-    shown += [f"{method.total_ms / 1000:.2f} s"] if method.total_ms is not None else []
+    shown += [f"{method.total_ms / 1000:.2f}\u00a0s"] if method.total_ms is not None else []
     return ", ".join(shown) or method.note
 
 
