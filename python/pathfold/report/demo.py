@@ -11,6 +11,7 @@ import platform
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -46,6 +47,7 @@ def demo(
     """Render, denoise, compare; write a table, a picture and a page."""
     start = perf_counter()
     make_folder(out)
+    check_packages()
     denoisers = {name: Denoiser(name) for name in MODELS}
     load_mitsuba("llvm_ad_rgb")
     from pathfold.report.scene import MAX_DEPTH, still_life
@@ -190,6 +192,13 @@ def processor() -> str:
     lines = listing.read_text().splitlines() if listing.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or platform.machine()
+
+
+def check_packages() -> None:
+    """Find out now, not after minutes, what is not installed."""
+    for package in ("mitsuba", "pyoidn", "flip_evaluator", "skimage", "jinja2", "matplotlib"):
+        if find_spec(package) is None:
+            raise ModuleNotFoundError(f"the demo needs {package}: pip install 'pathfold[mitsuba,bench]'")
 
 
 def make_folder(out: Path) -> None:
