@@ -73,7 +73,8 @@ class Config(Strict):
             raise ValueError(f"preset {path}: {error}") from error
 
 
-PRESETS = Path(__file__).resolve().parent.parent / "presets"
+HERE = Path(__file__).resolve().parent
+PRESETS = next((p for p in (HERE / "presets", HERE.parent / "presets") if p.is_dir()), HERE)  # in a wheel, in a checkout
 
 
 def preset_names() -> list[str]:

@@ -136,7 +136,7 @@ def frames(folder: Path, reference: Reference, spp: int, seeds: int) -> Iterator
     from pathfold.mitsuba import trace
 
     height, width = reference.mean.shape[:2]
-    scene = mi.load_file(str(folder / "scene.xml"), resx=width, resy=height, parallel=False)
+    scene = mi.load_file(str(folder / "scene.xml"), resx=width, resy=height)
     trace(scene, spp=spp, seed=1000, max_depth=reference.max_depth)  # compiles the kernels
     for seed in range(seeds):
         start = time.perf_counter()
