@@ -215,7 +215,7 @@ def test_render_in_bands_shows_the_same_picture(run, tmp_path: Path, monkeypatch
     (tmp_path / "scene.xml").write_text(SCENE)
     arguments = ["render", tmp_path / "scene.xml", "--spp", 64, "--max-depth", 3, "--for", "split-5"]
     assert run(*arguments, "-o", tmp_path / "whole.exr")[0] == 0
-    monkeypatch.setattr(sys.modules["pathfold.cli.render"], "BAND_SAMPLES", 24 * 64 * 5)  # bands of 5 rows
+    monkeypatch.setattr("pathfold.rendering.BAND_SAMPLES", 24 * 64 * 5)  # bands of 5 rows
     assert run(*arguments, "-o", tmp_path / "bands.exr")[0] == 0
     whole, bands = (ImageFile(tmp_path / name) for name in ("whole.exr", "bands.exr"))
     for name in ("depth", "normal"):
@@ -260,6 +260,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "not finite": (["compare", nan, good], 3, "nan.exr: 108 pixels are not finite"),
         "unknown command": (["denoize"], 2, "No such command 'denoize'"),
         "info on nothing": (["info", "nope"], 4, 'no model "nope"'),
+        "info on a folder": (["info", tmp_path], 4, "name a folder with a model in it"),
     }  # fmt: skip
 
 
@@ -267,6 +268,7 @@ CASES = (
     "missing file", "not an EXR", "display values", "no color", "no samples", "no such layer", "bad map", "guide size",
     "no model", "no provider", "no output", "output folder", "output type", "no frames", "one output", "no scene",
     "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
+    "info on a folder",
 )  # fmt: skip
 
 

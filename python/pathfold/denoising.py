@@ -31,6 +31,11 @@ class Result:
     layers: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     report: dict[str, Any] = field(default_factory=dict)  # what was used, left out, sanitised and spent
 
+    def images(self) -> dict[str, NDArray[np.float32]]:
+        """The denoised buffers that there are, by name."""
+        named = {"color": self.color, "alpha": self.alpha, "diffuse": self.diffuse, "specular": self.specular}
+        return {name: pixels for name, pixels in named.items() if pixels is not None}
+
 
 class Denoiser:
     """A model that is loaded and ready; keep it for repeated frames.
@@ -154,7 +159,8 @@ def as_array(name: str, value: Array) -> NDArray[Any]:
         return value
     if value.dtype.kind == "f":  # float64, or foreign byte order
         return value.astype(np.float32)
-    raise _invalid(
+    raise failure(
+        "invalid-argument",
         f"{name}: given {value.dtype} values; pass linear float32 or float16, say array.astype('float32')",
     )
 
@@ -168,16 +174,18 @@ def _from_foreign(name: str, value: Array) -> NDArray[Any]:
                 pass  # Mitsuba tensors on a GPU and read-only exports still have __array__
         return np.asarray(value)
     except Exception as error:
-        raise _invalid(
+        raise failure(
+            "invalid-argument",
             f"{name}: a {type(value).__module__}.{type(value).__qualname__} cannot be read as a host array "
             f"({str(error).splitlines()[0] if str(error) else type(error).__name__}); "
             "pass NumPy, or torch after .detach().cpu()",
         ) from error
 
 
-def _invalid(message: str) -> PathfoldError:
+def failure(code: str, message: str) -> PathfoldError:
+    """A PathfoldError with its code, ready to be raised."""
     error = PathfoldError(message)
-    error.code = "invalid-argument"
+    error.code = code
     return error
 
 

@@ -138,9 +138,9 @@ def _changes(frame: Frame, result: Result) -> dict[tuple[int, int], Image]:
     """What a result changes in the file: the beauty, and the buffers that stand in it as they are."""
     color = frame.color_layer
     changed = _places(color.part, color.pick(3) or [], result.color)
-    for name, pixels in (("alpha", result.alpha), ("diffuse", result.diffuse), ("specular", result.specular)):
+    for name, pixels in result.images().items():
         source = frame.sources.get(name)
-        if pixels is not None and source and source.direct:
+        if name != "color" and source and source.direct:
             layer = source.layers[0]
             changed |= _places(layer.part, source.numbers(layer, BUFFERS[name]) or [], pixels)
     return changed

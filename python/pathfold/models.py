@@ -44,9 +44,18 @@ def find(name: str | os.PathLike[str]) -> Path:
 
 
 def manifest(name: str | os.PathLike[str]) -> dict[str, Any]:
-    """The manifest of a model as it stands in its file, unchecked (a Denoiser checks it)."""
-    loaded: dict[str, Any] = json.loads((find(name) / "manifest.json").read_text(encoding="utf-8"))
-    return loaded
+    """The manifest of a model as it stands in its file (a Denoiser checks it).
+
+    Raises PathfoldError ("not-found", "invalid-model").
+    """
+    path = find(name) / "manifest.json"
+    try:
+        loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return loaded
+    except (OSError, ValueError) as error:
+        from pathfold.denoising import failure
+
+        raise failure("invalid-model", f"{path}: cannot be read: {error}; name a folder with a model in it") from error
 
 
 def inputs(name: str | os.PathLike[str]) -> set[str]:

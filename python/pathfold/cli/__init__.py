@@ -5,6 +5,7 @@ execution provider is missing or broken; 5 the output cannot be written; 130 int
 line on stderr. Progress goes to stderr, and only where that is a terminal.
 """
 
+import signal
 import sys
 from typing import Annotated
 
@@ -46,4 +47,6 @@ def _root(
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
+    # Asked to end, unwind: an unfinished output is removed on the way.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     sys.exit(console.run(app))

@@ -39,6 +39,7 @@ def exit_code(error: Exception) -> int | None:
     """The exit code of an error that is expected to happen; None for a fault of the program itself."""
     from pathfold import PathfoldError
     from pathfold.images import ImageError, OutputError
+    from pathfold.rendering import SceneError
 
     if isinstance(error, typer.Abort):
         return INTERRUPTED
@@ -49,6 +50,7 @@ def exit_code(error: Exception) -> int | None:
     kinds: dict[type[Exception], int] = {
         ImageError: INPUT,
         InputError: INPUT,
+        SceneError: INPUT,
         OutputError: OUTPUT,
         ModuleNotFoundError: MODEL,
         MemoryError: FAILED,

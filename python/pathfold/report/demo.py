@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from pathfold import Denoiser, metrics
 from pathfold.cli import console
-from pathfold.cli.render import load_mitsuba, parse_size
+from pathfold.cli.render import parse_size
 from pathfold.images import OutputError, check_output
+from pathfold.rendering import load_mitsuba
 from pathfold.report import Method, page, peers, picture, tables
 
 MODELS = ("kpcn-vanilla", "kpcn-manifold")

@@ -1,0 +1,134 @@
+"""Rendering Mitsuba scenes to what models read: per-pixel buffers, and samples with path descriptors."""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pathfold.channels import BUFFERS
+from pathfold.channels import samples as sample_names
+from pathfold.images import NewPart, write_parts
+
+BAND_SAMPLES = 1 << 22  # traced in one call: some 1.5 GB while Mitsuba is at it
+_BEAUTY = ("color", "alpha")
+_SUFFIXES = {"color": "RGB", "alpha": "A", "normal": "XYZ", "depth": "Z"}
+
+Block = dict[str, NDArray[np.floating[Any]]]
+
+
+class SceneError(RuntimeError):
+    """A scene that cannot be rendered; the message says why."""
+
+
+class Camera:
+    """A scene and the camera it is seen through."""
+
+    def __init__(self, path: Path, variant: str, sensor: int, size: tuple[int, int] | None) -> None:
+        mi = load_mitsuba(variant)
+        if not path.is_file():
+            raise SceneError(f"{path}: no such file; a Mitsuba 3 scene (.xml) is wanted")
+        try:
+            # Merged meshes come in any order, and with them the lights: equal seeds would not give equal pictures.
+            self._scene = mi.load_file(str(path), optimize=False)
+        except Exception as error:  # Mitsuba raises whatever its parsers raise
+            raise SceneError(f"{path}: not a scene that Mitsuba can load: {_last_words(error)}") from error
+        if sensor >= len(self._scene.sensors()):
+            raise SceneError(f"{path}: has no camera {sensor}; it has {len(self._scene.sensors())}")
+        self._sensor = sensor
+        self._parameters = mi.traverse(self._scene.sensors()[sensor])
+        if size:
+            self._film(size=size)
+        film = self._scene.sensors()[sensor].film()
+        self._origin = tuple(int(n) for n in film.crop_offset())
+        self.size = tuple(int(n) for n in film.crop_size())
+
+    def trace(
+        self,
+        spp: int,
+        seed: int,
+        max_depth: int,
+        rr_depth: int | None,
+        wanted: set[str],
+        bar: Callable[[float], None],
+    ) -> tuple[Block, Block, int]:
+        """Per-pixel buffers and the block of samples, those that are wanted, and the number of samples dropped.
+
+        The picture is traced in bands of rows, so that memory goes with the block and not with what Mitsuba holds.
+        """
+        from pathfold.mitsuba import trace
+
+        width, height = self.size
+        rows = max(1, min(height, BAND_SAMPLES // (width * spp)))
+        described = any(name.startswith("samples.") for name in wanted)
+        buffers: Block = {}
+        samples: Block = {}
+        dropped = 0
+        for index, first in enumerate(range(0, height, rows)):
+            last = min(first + rows, height)
+            self._film(crop_offset=(self._origin[0], self._origin[1] + first), crop_size=(width, last - first))
+            band_seed = seed if rows == height else int(np.random.SeedSequence((seed, index)).generate_state(1)[0])
+            try:
+                band = trace(self._scene, spp, band_seed, max_depth, self._sensor, described, rr_depth)
+            except (ValueError, TypeError, NotImplementedError) as error:
+                raise SceneError(_last_words(error)) from error
+            means = band.reduce()
+            dropped += means.pop("dropped")
+            for name, pixels in means.items():
+                if name in wanted or name in _BEAUTY:
+                    whole = buffers.setdefault(name, np.empty((height, *pixels.shape[1:]), np.float32))
+                    whole[first:last] = pixels
+            pieces = {"descriptor": band.descriptor, "density": band.density}
+            for name, block in pieces.items():
+                if f"samples.{name}" in wanted and block is not None:
+                    shape = (spp, height, *block.shape[2:])
+                    samples.setdefault(name, np.empty(shape, block.dtype))[:, first:last] = block
+            bar(last / height)
+        return buffers, samples, dropped
+
+    def _film(self, **values: tuple[int, int]) -> None:
+        for name, value in values.items():
+            self._parameters[f"film.{name}"] = list(value)
+        self._parameters.update()
+
+
+def write(path: Path, buffers: Block, samples: Block, metadata: Mapping[str, str | int | float]) -> None:
+    """Write buffers (float) and, where there are any, samples as a second part."""
+    names = [name for name in BUFFERS if name in buffers]
+    channels = [channel for name in names for channel in channel_names(name)]
+    stacked = [buffers[name] for name in names]
+    height, width = buffers["color"].shape[:2]
+
+    def rows(first: int, last: int) -> NDArray[np.floating[Any]]:
+        return np.concatenate([pixels[first:last] for pixels in stacked], axis=-1)
+
+    parts = [NewPart("buffers", channels, ["float"] * len(channels), (width, height), rows)]
+    if samples:
+        parts.append(sample_names.to_part(samples))
+    write_parts(path, parts, metadata)
+
+
+def channel_names(buffer: str) -> list[str]:
+    """The channels of a buffer in our own files: R, G, B for the beauty, albedo.R, normal.X, depth.Z, ..."""
+    letters = _SUFFIXES.get(buffer, "RGB")
+    return [letter if buffer in _BEAUTY else f"{buffer}.{letter}" for letter in letters]
+
+
+def load_mitsuba(variant: str) -> Any:
+    try:
+        import mitsuba as mi
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("rendering needs Mitsuba: pip install 'pathfold[mitsuba]'") from error
+    if variant not in mi.variants():
+        raise SceneError(f"--variant {variant}: this Mitsuba has {', '.join(mi.variants())}")
+    mi.set_variant(variant)
+    mi.set_log_level(mi.LogLevel.Error)
+    return mi
+
+
+def _last_words(error: Exception) -> str:
+    """What a multi-line message of Mitsuba's comes down to."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return re.sub(r"^.*?\[\w+\.(cpp|h):\d+\]\s*", "", lines[-1]) if lines else type(error).__name__
