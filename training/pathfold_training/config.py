@@ -74,7 +74,7 @@ class Config(Strict):
 
 
 HERE = Path(__file__).resolve().parent
-PRESETS = next((p for p in (HERE / "presets", HERE.parent / "presets") if p.is_dir()), HERE)  # in a wheel, in a checkout
+PRESETS = HERE / "presets" if (HERE / "presets").is_dir() else HERE.parent / "presets"  # in a wheel; in a checkout
 
 
 def preset_names() -> list[str]:

@@ -34,7 +34,7 @@ class Branch(nn.Module):
         for layer in self.trunk:
             if isinstance(layer, nn.Conv2d):  # torch's default halves the signal with every layer
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
-                nn.init.zeros_(layer.bias)
+                layer.bias.data.zero_()  # type: ignore[union-attr]
 
     def input_names(self) -> list[str]:
         """Graph inputs in order; B = 1 when exported."""
