@@ -236,6 +236,9 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
     out = ["-o", tmp_path / "out.exr", "-m", "split-5"]
     scene = ["-o", tmp_path / "out.exr", "--for", "split-5"]
     lost, bare = tmp_path / "no" / "out.exr", tmp_path / "out"
+    spoiled = tmp_path / "spoiled"
+    spoiled.mkdir()
+    (spoiled / "manifest.json").write_text('{"format": 1, "requires": ["color"]}')
     return {
         "missing file": (["denoise", tmp_path / "none.exr", *out], 3, "none.exr: no such file"),
         "not an EXR": (["denoise", text, *out], 3, "text.exr: not a picture that can be read"),
@@ -260,7 +263,9 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "not finite": (["compare", nan, good], 3, "nan.exr: 108 pixels are not finite"),
         "unknown command": (["denoize"], 2, "No such command 'denoize'"),
         "info on nothing": (["info", "nope"], 4, 'no model "nope"'),
-        "info on a folder": (["info", tmp_path], 4, "name a folder with a model in it"),
+        "info on a folder": (["info", tmp_path], 4, "manifest.json"),
+        "info on a spoiled model": (["info", spoiled], 4, "manifest.json"),
+        "for a folder": (["render", tmp_path / "no.xml", "-o", out[1], "--for", tmp_path], 4, "with a model in it"),
     }  # fmt: skip
 
 
@@ -268,7 +273,7 @@ CASES = (
     "missing file", "not an EXR", "display values", "no color", "no samples", "no such layer", "bad map", "guide size",
     "no model", "no provider", "no output", "output folder", "output type", "no frames", "one output", "no scene",
     "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
-    "info on a folder",
+    "info on a folder", "info on a spoiled model", "for a folder",
 )  # fmt: skip
 
 

@@ -48,14 +48,16 @@ def manifest(name: str | os.PathLike[str]) -> dict[str, Any]:
 
     Raises PathfoldError ("not-found", "invalid-model").
     """
+    from pathfold.denoising import failure
+
     path = find(name) / "manifest.json"
     try:
-        loaded: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return loaded
+        loaded = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        from pathfold.denoising import failure
-
         raise failure("invalid-model", f"{path}: cannot be read: {error}; name a folder with a model in it") from error
+    if not isinstance(loaded, dict) or not isinstance(loaded.get("requires"), list):
+        raise failure("invalid-model", f"{path}: is no manifest: it has no list `requires`")
+    return loaded
 
 
 def inputs(name: str | os.PathLike[str]) -> set[str]:

@@ -44,12 +44,13 @@ def installation() -> Iterator[str]:
 
 
 def model(name: str) -> Iterator[str]:
-    """What a model reads and how it was made."""
-    from pathfold import models
+    """What a model reads and how it was made; the model is checked on the way."""
+    from pathfold import Denoiser
 
-    entry = models.manifest(name)
+    loaded = Denoiser(name).model
+    entry = loaded.manifest
     yield f"{entry['name']}: {entry.get('description', '')}"
-    yield f"  folder        {models.find(name)}"
+    yield f"  folder        {loaded.folder}"
     yield f"  requires      {', '.join(entry['requires'])}"
     yield f"  can use       {', '.join(entry.get('uses', ()))}"
     yield f"  filters with  {reconstruction(entry['reconstruction'])}"
