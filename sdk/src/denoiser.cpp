@@ -11,15 +11,18 @@ namespace {
 
 constexpr int64_t mebibyte = int64_t(1) << 20;
 constexpr int64_t default_logits_bytes = 256 * mebibyte;
+constexpr int64_t default_input_bytes = 512 * mebibyte;
 constexpr int64_t default_window_pixels = 640 * 1024; // 544 x 960 and its overlap: bounds the network's part
 
 /// Pixels that a tile's window may have.
 int64_t window_pixels(const Settings &settings, int64_t logits_floats, int64_t input_floats) {
     const int64_t logits_bytes = logits_floats * int64_t(sizeof(float));
+    const int64_t input_bytes = input_floats * int64_t(sizeof(float));
     if (settings.memory_mb == 0)
-        return std::min(default_window_pixels, default_logits_bytes / logits_bytes);
+        return std::min(
+            {default_window_pixels, default_logits_bytes / logits_bytes, default_input_bytes / input_bytes});
     // A network's own working memory is about that of its inputs.
-    return settings.memory_mb * mebibyte / (logits_bytes + 2 * input_floats * int64_t(sizeof(float)));
+    return settings.memory_mb * mebibyte / (logits_bytes + 2 * input_bytes);
 }
 
 } // namespace

@@ -13,6 +13,7 @@ namespace {
 
 constexpr int64_t max_edge = 1 << 16;
 constexpr int64_t max_samples = 1 << 16;
+constexpr int64_t max_channels = 64;
 
 int64_t value_size(pathfold_format format) { return format == PATHFOLD_FLOAT16 ? 2 : 4; }
 
@@ -40,10 +41,10 @@ ImageView::ImageView(const pathfold_image &image, const std::string &name) : ima
     if (image.width < 1 || image.height < 1 || image.channels < 1 || image.samples < 1)
         fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", size_text(),
              " (height x width x channels); it must have at least one pixel");
-    if (image.width > max_edge || image.height > max_edge || image.channels > max_edge ||
+    if (image.width > max_edge || image.height > max_edge || image.channels > max_channels ||
         image.samples > max_samples)
-        fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", size_text(), "; no edge may exceed ",
-             max_edge);
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", size_text(), "; at most ", max_samples,
+             " x ", max_edge, " x ", max_edge, " x ", max_channels, " is possible");
 }
 
 std::string ImageView::size_text() const {

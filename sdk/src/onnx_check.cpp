@@ -2,7 +2,9 @@
 
 #include <cstdint>
 #include <cstring>
+#include <iterator>
 #include <set>
+#include <sstream>
 
 #include "error.h"
 
@@ -11,110 +13,24 @@ namespace {
 
 /// What a network of convolutions, its feature transforms and its padding need; nothing that loops, branches,
 /// reads files or draws random numbers.
-const std::set<std::string> &allowed_operators() {
-    static const std::set<std::string> names = {"Abs",
-                                                "Add",
-                                                "And",
-                                                "AveragePool",
-                                                "BatchNormalization",
-                                                "Cast",
-                                                "CastLike",
-                                                "Ceil",
-                                                "Celu",
-                                                "Clip",
-                                                "Concat",
-                                                "Constant",
-                                                "ConstantOfShape",
-                                                "Conv",
-                                                "ConvInteger",
-                                                "ConvTranspose",
-                                                "CumSum",
-                                                "DepthToSpace",
-                                                "DequantizeLinear",
-                                                "Div",
-                                                "Dropout",
-                                                "DynamicQuantizeLinear",
-                                                "Einsum",
-                                                "Elu",
-                                                "Equal",
-                                                "Erf",
-                                                "Exp",
-                                                "Expand",
-                                                "Flatten",
-                                                "Floor",
-                                                "Gather",
-                                                "Gelu",
-                                                "Gemm",
-                                                "GlobalAveragePool",
-                                                "GlobalMaxPool",
-                                                "Greater",
-                                                "GreaterOrEqual",
-                                                "GroupNormalization",
-                                                "HardSigmoid",
-                                                "HardSwish",
-                                                "Identity",
-                                                "InstanceNormalization",
-                                                "IsInf",
-                                                "IsNaN",
-                                                "LayerNormalization",
-                                                "LeakyRelu",
-                                                "Less",
-                                                "LessOrEqual",
-                                                "Log",
-                                                "LogSoftmax",
-                                                "MatMul",
-                                                "MatMulInteger",
-                                                "Max",
-                                                "MaxPool",
-                                                "Mean",
-                                                "Min",
-                                                "Mish",
-                                                "Mod",
-                                                "Mul",
-                                                "Neg",
-                                                "Not",
-                                                "Or",
-                                                "PRelu",
-                                                "Pad",
-                                                "Pow",
-                                                "QLinearConv",
-                                                "QLinearMatMul",
-                                                "QuantizeLinear",
-                                                "Range",
-                                                "Reciprocal",
-                                                "ReduceL1",
-                                                "ReduceL2",
-                                                "ReduceLogSumExp",
-                                                "ReduceMax",
-                                                "ReduceMean",
-                                                "ReduceMin",
-                                                "ReduceProd",
-                                                "ReduceSum",
-                                                "ReduceSumSquare",
-                                                "Relu",
-                                                "Reshape",
-                                                "Resize",
-                                                "Round",
-                                                "Selu",
-                                                "Shape",
-                                                "Sigmoid",
-                                                "Sign",
-                                                "Size",
-                                                "Slice",
-                                                "Softmax",
-                                                "Softplus",
-                                                "SpaceToDepth",
-                                                "Split",
-                                                "Sqrt",
-                                                "Squeeze",
-                                                "Sub",
-                                                "Sum",
-                                                "Tanh",
-                                                "Tile",
-                                                "Transpose",
-                                                "Unsqueeze",
-                                                "Where"};
-    return names;
+constexpr const char *allowed_operators =
+    "Abs Add And AveragePool BatchNormalization Cast CastLike Ceil Celu Clip Concat Constant "
+    "ConstantOfShape Conv ConvInteger ConvTranspose CumSum DepthToSpace DequantizeLinear Div Dropout "
+    "DynamicQuantizeLinear Einsum Elu Equal Erf Exp Expand Flatten Floor Gather Gelu Gemm "
+    "GlobalAveragePool GlobalMaxPool Greater GreaterOrEqual GroupNormalization HardSigmoid HardSwish "
+    "Identity InstanceNormalization IsInf IsNaN LayerNormalization LeakyRelu Less LessOrEqual Log "
+    "LogSoftmax MatMul MatMulInteger Max MaxPool Mean Min Mish Mod Mul Neg Not Or PRelu Pad Pow "
+    "QLinearConv QLinearMatMul QuantizeLinear Range Reciprocal ReduceL1 ReduceL2 ReduceLogSumExp "
+    "ReduceMax ReduceMean ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu Reshape Resize Round "
+    "Selu Shape Sigmoid Sign Size Slice Softmax Softplus SpaceToDepth Split Sqrt Squeeze Sub Sum Tanh "
+    "Tile Transpose Unsqueeze Where ";
+
+bool is_allowed(const std::string &type) {
+    static const std::set<std::string> names = [] {
+        std::istringstream words(allowed_operators);
+        return std::set<std::string>(std::istream_iterator<std::string>(words), {});
+    }();
+    return names.count(type) > 0;
 }
 
 /// A protobuf message walked field by field; lengths are checked against what is left.
@@ -236,7 +152,7 @@ void check_node(Message node) {
         if (fields.field() == 7)
             domain = fields.string();
     }
-    if ((!domain.empty() && domain != "ai.onnx") || allowed_operators().count(type) == 0)
+    if ((!domain.empty() && domain != "ai.onnx") || !is_allowed(type))
         fail(PATHFOLD_INVALID_MODEL, node.file(), " uses the operator ",
              domain.empty() ? type : domain + "." + type, ", which is not on the list of allowed operators");
     for (Message fields = node; fields.next();)

@@ -52,12 +52,11 @@ hn::Vec<D> Weights(const float *logits, size_t tap_stride, const float *valid, s
     return sum;
 }
 
-/// Stores the first `count` lanes of total / sum, or 0 where no tap is valid: the largest weight is 1, so
-/// only then the sum is 0.
+/// Stores the first `count` lanes of total / sum.
 void WriteMean(hn::Vec<D> total, hn::Vec<D> sum, size_t count, float *result) {
     const D d;
     HWY_ALIGN float lanes[hn::MaxLanes(d)];
-    hn::Store(hn::IfThenElseZero(hn::Ne(sum, hn::Zero(d)), hn::Div(total, sum)), d, lanes);
+    hn::Store(hn::Div(total, sum), d, lanes);
     std::copy_n(lanes, count, result);
 }
 
@@ -98,7 +97,7 @@ void GatherRow(const Logits &logits, const Neighbourhood &source, int y, float *
         const size_t count = std::min(lanes, size_t(width - x));
         const float *first = logits.data + y * logits.row_stride + x;
         const float *valid = source.valid_row(y - source.radius()) + x;
-        const bool all = source.all_valid(x, y, int(count));
+        const bool all = source.invalid_taps(x, y, int(count)) == 0;
         const auto largest = all ? LargestLogit<false>(first, logits.tap_stride, valid, stride, size)
                                  : LargestLogit<true>(first, logits.tap_stride, valid, stride, size);
         const auto sum = all ? Weights<false>(first, logits.tap_stride, valid, stride, size, largest, scratch)
@@ -111,6 +110,12 @@ void GatherRow(const Logits &logits, const Neighbourhood &source, int y, float *
             const ApplyPlanes apply = choices[std::min(source.planes() - plane, 4) - 1];
             apply(scratch, sum, values, plane_stride, stride, size, count, out, result_stride);
         }
+        // The largest weight is 1, so a sum of 0 comes from taps that are not valid, or from logits of NaN.
+        if (!hn::AllFalse(d, hn::Eq(sum, hn::Zero(d))))
+            for (size_t i = 0; i < count; ++i)
+                if (source.invalid_taps(x + int(i), y, 1) == size * size)
+                    for (int plane = 0; plane < source.planes(); ++plane)
+                        result[plane * result_stride + size_t(y) * width + x + i] = 0;
     }
 }
 
@@ -146,11 +151,11 @@ void Neighbourhood::finish() {
     }
 }
 
-bool Neighbourhood::all_valid(int x, int y, int count) const {
+int Neighbourhood::invalid_taps(int x, int y, int count) const {
     const size_t columns = stride_ + 1, size = 2 * size_t(radius_) + 1;
     const int32_t *above = invalid_.data() + size_t(y) * columns + x, *below = above + size * columns;
     const size_t right = size + size_t(count) - 1;
-    return below[right] - below[0] - above[right] + above[0] == 0;
+    return below[right] - below[0] - above[right] + above[0];
 }
 
 void gather(Threads &threads, const Logits &logits, const Neighbourhood &source, float *result) {

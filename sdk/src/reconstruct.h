@@ -32,8 +32,8 @@ public:
     /// To be called when all rows are filled.
     void finish();
 
-    /// Whether every tap of `count` neighbouring pixels is valid.
-    bool all_valid(int x, int y, int count) const;
+    /// How many of the taps that `count` pixels, side by side from (x, y) on, reach together are not valid.
+    int invalid_taps(int x, int y, int count) const;
 
 private:
     size_t rows() const { return size_t(height_) + 2 * size_t(radius_); }
@@ -54,7 +54,8 @@ struct Logits {
 constexpr size_t gather_slack = 64;
 
 /// Applies the kernels: result[plane][y][x] = sum over valid taps of softmax(logits) * value, correlation,
-/// taps row by row, size 2 * radius + 1. A pixel without a valid tap becomes 0.
+/// taps row by row, size 2 * radius + 1. A pixel without a valid tap becomes 0; one whose logits are all NaN,
+/// or of which one is infinite, becomes NaN.
 void gather(Threads &threads, const Logits &logits, const Neighbourhood &source, float *result);
 
 } // namespace pathfold::core

@@ -147,10 +147,43 @@ def make_split(folder: Path, size: int, samples: bool) -> None:
     write_model(folder, graphs, branches, size, requires, uses)
 
 
+def make_hostile(folder: Path) -> None:
+    """Graphs that must be refused before an engine sees them."""
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def save(name: str, nodes: list[onnx.NodeProto], **extra: object) -> onnx.ModelProto:
+        ports = [helper.make_tensor_value_info(port, TensorProto.FLOAT, [1]) for port in ("radiance", "logits")]
+        graph = helper.make_graph(nodes, "network", ports[:1], ports[1:], **extra)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18), helper.make_opsetid("evil", 1)])
+        (folder / name).write_bytes(model.SerializeToString())
+        return model
+
+    plain = helper.make_node("Identity", ["radiance"], ["logits"])
+    save("plain.onnx", [plain])
+    save("domain.onnx", [helper.make_node("Identity", ["radiance"], ["logits"], domain="evil")])
+    save("operator.onnx", [helper.make_node("RandomNormalLike", ["radiance"], ["logits"])])
+    branch = helper.make_graph([], "branch", [], [])
+    save("subgraph.onnx", [helper.make_node("If", ["radiance"], ["logits"], then_branch=branch, else_branch=branch)])
+    save("hidden.onnx", [helper.make_node("Identity", ["radiance"], ["logits"], extra=branch)])
+    weight = numpy_helper.from_array(np.zeros(1, np.float32), "weight")
+    weight.ClearField("raw_data")
+    weight.data_location = TensorProto.EXTERNAL
+    entry = weight.external_data.add()
+    entry.key, entry.value = "location", "/etc/passwd"
+    save("external.onnx", [plain], initializer=[weight])
+    constant = helper.make_node("Constant", [], ["logits"], value=weight)
+    save("external-constant.onnx", [constant])
+    model = save("functions.onnx", [plain])
+    model.functions.append(helper.make_function("evil", "F", ["a"], ["b"], [helper.make_node("Abs", ["a"], ["b"])], []))
+    (folder / "functions.onnx").write_bytes(model.SerializeToString())
+
+
 def main(root: Path) -> None:
+    make_hostile(root / "hostile")
     make_single(root / "single-3", 3)
     make_single(root / "single-21", 21)
     make_single(root / "steep-5", 5, spread=1e5)
+    make_single(root / "broken-3", 3, spread=np.inf)  # all logits are NaN
     make_split(root / "split-5", 5, samples=False)
     make_split(root / "samples-5", 5, samples=True)
 

@@ -1,0 +1,126 @@
+// The C interface, from C++ through pathfold.hpp: statuses, messages, handles.
+#include "pathfold/pathfold.hpp"
+
+#include <atomic>
+#include <thread>
+
+#include "testing.h"
+
+namespace pathfold {
+namespace {
+
+using core::model_folder;
+using core::noise;
+using core::Pixels;
+
+template <typename Body>
+std::string message_of(pathfold_status status, const Body &body) {
+    try {
+        body();
+    } catch (const Error &error) {
+        EXPECT_EQ(error.status(), status) << error.what();
+        return error.what();
+    }
+    ADD_FAILURE() << "no error";
+    return {};
+}
+
+} // namespace
+
+TEST(Api, StatusNames) {
+    EXPECT_STREQ(pathfold_status_name(PATHFOLD_OK), "ok");
+    EXPECT_STREQ(pathfold_status_name(PATHFOLD_OUT_OF_MEMORY), "out-of-memory");
+    EXPECT_STREQ(pathfold_status_name(pathfold_status(99)), "internal");
+    EXPECT_FALSE(version().empty());
+}
+
+TEST(Api, NullPointersAreNamed) {
+    EXPECT_EQ(pathfold_model_load(nullptr, nullptr, 0, nullptr), PATHFOLD_INVALID_ARGUMENT);
+    EXPECT_STREQ(pathfold_last_error(), "model is a null pointer");
+    pathfold_denoiser *denoiser = nullptr;
+    EXPECT_EQ(pathfold_denoiser_create(nullptr, &denoiser), PATHFOLD_INVALID_ARGUMENT);
+    EXPECT_STREQ(pathfold_last_error(), "model is a null pointer");
+    EXPECT_EQ(pathfold_denoiser_run(nullptr), PATHFOLD_INVALID_ARGUMENT);
+    EXPECT_EQ(pathfold_set_onnxruntime(nullptr), PATHFOLD_INVALID_ARGUMENT);
+    EXPECT_EQ(pathfold_gather(nullptr, nullptr, 3, nullptr), PATHFOLD_INVALID_ARGUMENT);
+    pathfold_model_release(nullptr);
+    pathfold_denoiser_release(nullptr);
+    pathfold_denoiser_clear(nullptr);
+    EXPECT_STREQ(pathfold_denoiser_report(nullptr), "{}");
+}
+
+TEST(Api, ErrorsArePerThread) {
+    EXPECT_EQ(pathfold_denoiser_run(nullptr), PATHFOLD_INVALID_ARGUMENT);
+    const std::string mine = pathfold_last_error();
+    std::thread([] { EXPECT_STREQ(pathfold_last_error(), ""); }).join();
+    EXPECT_EQ(pathfold_last_error(), mine);
+}
+
+TEST(Api, SettingsAreChecked) {
+    Denoiser denoiser{Model(model_folder("single-3"))};
+    for (auto [name, value] : {std::pair("exposure", -1.0),
+                               {"exposure", std::nan("")},
+                               {"memory_mb", 0.5},
+                               {"tile", -4.0},
+                               {"leave_out", 2.0}}) {
+        const auto set = [&, name = name, value = value] { denoiser.set(name, value); };
+        EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, set).find(name), std::string::npos);
+    }
+    const auto unknown = [&] { denoiser.set("sharpness", 1); };
+    EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, unknown).find("memory_mb"), std::string::npos);
+}
+
+TEST(Api, TheWrapperDenoises) {
+    const Pixels color = noise(24, 36, 3, 1);
+    Pixels result(24, 36, 3, -1);
+    Denoiser denoiser{Model(model_folder("single-3"))}; // the model may go first
+    denoiser.input("color", color.image()).output("color", result.image());
+    const std::string report = denoiser.run();
+    EXPECT_NE(report.find("\"model\":\"single-3\""), std::string::npos);
+    for (float value : result.values)
+        EXPECT_GE(value, 0.0f);
+}
+
+TEST(Api, ProgressAndCancel) {
+    const Pixels color = noise(64, 64, 3, 1);
+    const Pixels result(64, 64, 3);
+    Denoiser denoiser{Model(model_folder("single-3"))};
+    denoiser.input("color", color.image()).output("color", result.image()).set("tile", 16);
+    std::vector<float> seen;
+    denoiser.run([&](float done) {
+        seen.push_back(done);
+        return true;
+    });
+    EXPECT_TRUE(std::is_sorted(seen.begin(), seen.end()));
+    EXPECT_EQ(seen.front(), 0.0f);
+    EXPECT_EQ(seen.back(), 1.0f);
+    EXPECT_EQ(seen.size(), 17u);
+    const auto cancelled = [&] { denoiser.run([](float done) { return done < 0.5f; }); };
+    message_of(PATHFOLD_CANCELLED, cancelled);
+    const auto thrown = [&] { denoiser.run([](float) -> bool { throw std::logic_error("mine"); }); };
+    EXPECT_THROW(thrown(), std::logic_error);
+    denoiser.run(); // usable again
+}
+
+TEST(Api, OneModelManyThreads) {
+    const Model model(model_folder("single-3"), "cpu", 1);
+    const Pixels color = noise(32, 32, 3, 2);
+    Pixels right(32, 32, 3);
+    Denoiser(model).input("color", color.image()).output("color", right.image()).run();
+    std::atomic<int> equal{0};
+    std::vector<std::thread> threads;
+    for (int i = 0; i < 4; ++i)
+        threads.emplace_back([&] {
+            Pixels result(32, 32, 3);
+            Denoiser denoiser(model);
+            denoiser.input("color", color.image()).output("color", result.image());
+            for (int j = 0; j < 3; ++j)
+                denoiser.run();
+            equal += result.values == right.values;
+        });
+    for (std::thread &thread : threads)
+        thread.join();
+    EXPECT_EQ(equal, 4);
+}
+
+} // namespace pathfold

@@ -1,0 +1,82 @@
+#include "manifest.h"
+
+#include <nlohmann/json.hpp>
+
+#include "testing.h"
+
+namespace pathfold::core {
+namespace {
+
+using Json = nlohmann::json;
+
+Json good() { return Json::parse(read_text(model_folder("split-5") + "/manifest.json")); }
+
+/// The manifest with the value at a JSON pointer replaced.
+std::string with(const std::string &pointer, const Json &value) {
+    Json json = good();
+    json[Json::json_pointer(pointer)] = value;
+    return json.dump();
+}
+
+template <typename... Words>
+void expect_wrong(const std::string &text, const Words &...words) {
+    expect_error(PATHFOLD_INVALID_MODEL, [&] { Manifest::parse(text); }, words...);
+}
+
+} // namespace
+
+TEST(Manifest, IsRead) {
+    const Manifest manifest = Manifest::parse(good().dump());
+    EXPECT_EQ(manifest.name, "split-5");
+    EXPECT_EQ(manifest.kernel_size, 5);
+    EXPECT_EQ(manifest.branches.size(), 2u);
+    EXPECT_EQ(manifest.branches[0].demodulate_by, "diffuse.albedo");
+    EXPECT_EQ(manifest.unsplit_branch().name, "specular");
+    EXPECT_TRUE(manifest.reads("normal"));
+    EXPECT_FALSE(manifest.reads("alpha"));
+    EXPECT_EQ(shape_text(manifest.graphs.at("diffuse").inputs.at("radiance")), "[1, 3, H, W]");
+}
+
+TEST(Manifest, ComplaintsNameTheKey) {
+    expect_wrong("{", "not JSON");
+    expect_wrong("[]", "one object");
+    expect_wrong("{}", "format is missing");
+    expect_wrong(with("/name", 3), "name is 3", "a string");
+    expect_wrong(with("/colour", 3), "unknown key colour");
+    expect_wrong(with("/requires/0", "colour"), "requires[0] is \"colour\"", "samples.density");
+    expect_wrong(with("/reconstruction/operator", "splat"), "reconstruction.operator", "gather");
+    expect_wrong(with("/reconstruction/size", 4), "reconstruction.size is 4", "odd");
+    expect_wrong(with("/reconstruction/size", 7), "graphs.diffuse.outputs.logits", "[1, 49, H, W]");
+    expect_wrong(with("/reconstruction/branches/0/graph", "other"), "other", "not among graphs");
+    expect_wrong(with("/reconstruction/branches/1/unsplit", false), "exactly one");
+    expect_wrong(with("/reconstruction/branches/0/radiance", "specular"), "diffuse and specular");
+    expect_wrong(with("/reconstruction/branches/0/demodulate/epsilon", 0), "epsilon is 0");
+    expect_wrong(with("/graphs/diffuse/file", "../other.onnx"), "graphs.diffuse.file", "without a path");
+    expect_wrong(with("/graphs/diffuse/sha256", "abc"), "64");
+    expect_wrong(with("/graphs/diffuse/inputs/radiance", {1, 4, "H", "W"}), "inputs.radiance",
+                 "[1, 3, H, W]");
+    expect_wrong(with("/graphs/diffuse/inputs/velocity", {1, 2, "H", "W"}), "velocity");
+    expect_wrong(with("/uses", Json::array()), "neither requires nor uses");
+    expect_wrong(with("/tile/alignment", 0), "tile.alignment is 0", "1 to 1024");
+    expect_wrong(with("/tile/overlap", 1.5), "tile.overlap is 1.5");
+    expect_wrong(with("/samples_per_pixel/max", 0), "samples_per_pixel.max");
+    expect_wrong(with("/exposure/key", 1e9), "exposure.key");
+}
+
+TEST(Manifest, SizeAndDepthAreBounded) {
+    expect_wrong(std::string(2 << 20, ' '), "at most");
+    expect_wrong(std::string(100000, '['), "nests deeper");
+}
+
+TEST(Manifest, ANewerFormatIsSaid) {
+    expect_error(
+        PATHFOLD_UNSUPPORTED, [&] { Manifest::parse(with("/format", 2)); }, "format 2", "newer pathfold");
+}
+
+TEST(Manifest, NoTruncationIsAccepted) {
+    const std::string text = good().dump();
+    for (size_t length = 0; length < text.size(); length += 7)
+        EXPECT_THROW(Manifest::parse(text.substr(0, length)), Error);
+}
+
+} // namespace pathfold::core
