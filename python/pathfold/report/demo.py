@@ -32,7 +32,7 @@ MODELS = ("kpcn-vanilla", "kpcn-manifold")
 ROUNDS = 5
 CHUNK = 16  # samples per pixel and call of the reference
 # Where to look closely, as shares of the frame: left, top, width (the height follows).
-CROPS = ((0.12, 0.18, 0.16), (0.5, 0.3, 0.16), (0.74, 0.42, 0.16))
+CROPS = ((0.15, 0.27, 0.16), (0.54, 0.38, 0.16), (0.71, 0.48, 0.16))
 SEED, REFERENCE_SEED = 1, 100_000
 
 Image = NDArray[np.float32]
@@ -41,9 +41,9 @@ Image = NDArray[np.float32]
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("out/demo"),
     spp: Annotated[int, typer.Option(min=2, help="Samples per pixel of the noisy picture.")] = 8,
-    size: Annotated[str, typer.Option(metavar="WxH")] = "420x280",
+    size: Annotated[str, typer.Option(metavar="WxH")] = "384x256",
     reference_spp: Annotated[int, typer.Option(min=2, help="Of both halves together, at most.")] = 4096,
-    seconds: Annotated[float, typer.Option(help="The reference ends when so much time has passed.")] = 225,
+    seconds: Annotated[float, typer.Option(help="The reference ends when so much time has passed.")] = 240,
 ) -> None:
     """Render, denoise, compare; write a table, a picture and a page."""
     start = perf_counter()
@@ -53,7 +53,7 @@ def demo(
     load_mitsuba("llvm_ad_rgb")
     from pathfold.report.scene import MAX_DEPTH, still_life
 
-    width, height = parse_size(size) or (420, 280)
+    width, height = parse_size(size) or (384, 256)
     scene = still_life(width, height)
     console.say(f"rendering {width}x{height} at {spp} spp")
     plain_ms, _ = timed(lambda: traced(scene, spp, MAX_DEPTH, False))
@@ -165,7 +165,8 @@ def notes_of(methods: list[Method], own_error: float, spp: int) -> list[str]:
         f"RelL2 is taken against two independent halves of the reference ({spp} spp together), whose own noise "
         f"drops out; the reference's own RelL2 is {own_error:.5f}. The other three see the whole reference.",
         "Rendering for the OIDN and vanilla rows gives buffers alone; for the manifold row it gives path descriptors "
-        "as well. OIDN runs at quality high: with the noisy guides, and with guides prefiltered and cleanAux.",
+        "as well; the second row is Mitsuba's own path tracer with its usual Russian roulette. OIDN runs at quality "
+        "high: with the noisy guides, and with guides prefiltered and cleanAux.",
     ]
     best = min(method.errors["rell2"] for method in methods)
     if best < 20 * own_error:

@@ -17,13 +17,13 @@ Node = dict[str, Any]
 MAX_DEPTH = 8  # two walls of glass take four vertices
 
 
-def still_life(width: int = 420, height: int = 280) -> Any:
+def still_life(width: int = 384, height: int = 256) -> Any:
     """The scene as a loaded mitsuba.Scene; a variant (llvm_ad_rgb) must be set before."""
     camera = mi.ScalarTransform4f().look_at(origin=[0.5, -19, 6.4], target=[0.1, 0, 3.7], up=[0, 0, 1])
     film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
     sensor = {"type": "perspective", "fov": 46, "fov_axis": "x", "to_world": camera, "film": film}
     objects = {**room(), **lights(), **vessels(), **small_things()}
-    integrator = {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": 1000}
+    integrator = {"type": "path", "max_depth": MAX_DEPTH, "rr_depth": 5}
     return mi.load_dict({"type": "scene", "integrator": integrator, "sensor": sensor, **objects})
 
 
@@ -52,11 +52,11 @@ def room() -> dict[str, Node]:
 
 def lights() -> dict[str, Node]:
     """Sky behind the window, and a warm strip under the shelf that shines on the wall."""
-    sky = {"type": "area", "radiance": {"type": "rgb", "value": [17.0, 20.0, 25.0]}}
-    strip = {"type": "area", "radiance": {"type": "rgb", "value": [23.0, 12.5, 5.0]}}
+    sky = {"type": "area", "radiance": {"type": "rgb", "value": [11.0, 13.0, 16.5]}}
+    strip = {"type": "area", "radiance": {"type": "rgb", "value": [10.5, 5.6, 2.2]}}
     return {
-        "sky": {**quad([-19, -3, 9], [7, 6], diffuse([0, 0, 0]), facing="+x"), "emitter": sky},
-        "strip": {**quad([1.5, 8.0, 7.4], [5.8, 0.2], diffuse([0, 0, 0]), facing="-z"), "emitter": strip},
+        "sky": {**quad([-13.6, 0, 6.5], [5.4, 4.4], diffuse([0, 0, 0]), facing="+x"), "emitter": sky},
+        "strip": {**quad([1.5, 8.0, 7.4], [5.8, 0.45], diffuse([0, 0, 0]), facing="-z"), "emitter": strip},
         "lip": box([1.5, 7.5, 7.3], [6.4, 0.06, 0.28], glossy([0.16, 0.075, 0.035], alpha=0.2)),
     }
 
@@ -138,10 +138,10 @@ def ball(center: list[float], radius: float, bsdf: Node) -> Node:
     return {"type": "sphere", "center": center, "radius": radius, "bsdf": bsdf}
 
 
-def lathe(name: str, profile: list[tuple[float, float]], place: list[float], bsdf: Node, steps: int = 96) -> Any:
+def lathe(name: str, profile: list[tuple[float, float]], place: list[float], bsdf: Node, steps: int = 64) -> Any:
     """A surface of revolution round z; the profile is rounded by cutting its corners (Chaikin)."""
     line = np.array(profile, np.float64)
-    for _ in range(3):
+    for _ in range(2):
         cut = np.stack([0.75 * line[:-1] + 0.25 * line[1:], 0.25 * line[:-1] + 0.75 * line[1:]], 1).reshape(-1, 2)
         line = np.concatenate([line[:1], cut, line[-1:]])
     angle = np.linspace(0, 2 * np.pi, steps + 1)
