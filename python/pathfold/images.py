@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 HALF_MAX = 65504.0
 _FLOAT_EXACT = 1 << 23  # integers up to here survive OpenImageIO's way through float
 _BAND = 64  # rows read or written at a time; a multiple of every scanline compression's block
+_KEPT_BYTES = 2 << 30  # a larger part is read layer by layer
 _COMPONENTS = {"red": "R", "green": "G", "blue": "B", "alpha": "A"}
 # A 64-sample file has thousands of channels, more than OpenImageIO opens by itself.
 oiio.attribute("limits:channels", 1 << 16)
@@ -65,6 +66,7 @@ class ImageFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self._input = _open(self.path)
+        self._kept: tuple[int, NDArray[np.float32]] | None = None
         self.parts: list[oiio.ImageSpec] = []
         while self._input.seek_subimage(len(self.parts), 0):
             self.parts.append(self._input.spec().copy())
@@ -87,10 +89,19 @@ class ImageFile:
 
     def read(self, part: int, channels: Sequence[int]) -> NDArray[np.float32]:
         """Channels of a part, height x width x len(channels), float32."""
-        first, last = min(channels), max(channels) + 1
-        pixels = self._checked(self._input.read_image(part, 0, first, last, oiio.FLOAT))
-        wanted = [number - first for number in channels]
-        return pixels if wanted == list(range(last - first)) else np.ascontiguousarray(pixels[..., wanted])
+        spec = self.parts[part]
+        if 4 * spec.width * spec.height * spec.nchannels > _KEPT_BYTES:
+            first, last = min(channels), max(channels) + 1
+            pixels = self._checked(self._input.read_image(part, 0, first, last, oiio.FLOAT))
+            return np.ascontiguousarray(pixels[..., [number - first for number in channels]])
+        return np.ascontiguousarray(self._whole(part)[..., list(channels)])
+
+    def _whole(self, part: int) -> NDArray[np.float32]:
+        # All channels of a part are decompressed together, so the layers of one part are read in one go.
+        if self._kept is None or self._kept[0] != part:
+            count = self.parts[part].nchannels
+            self._kept = part, self._checked(self._input.read_image(part, 0, 0, count, oiio.FLOAT))
+        return self._kept[1]
 
     def bands(self, part: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
         """A part from top to bottom, all channels: (first row, rows x width x channels), float32."""

@@ -85,6 +85,9 @@ class Camera:
                 if f"samples.{name}" in wanted and block is not None:
                     shape = (spp, height, *block.shape[2:])
                     samples.setdefault(name, np.empty(shape, block.dtype))[:, first:last] = block
+            if samples and not (valid := band.valid()).all():
+                whole = samples.setdefault("valid", np.ones((spp, height, width, 1), np.float16))
+                whole[:, first:last] = valid[..., None]
             bar(last / height)
         return buffers, samples, dropped
 

@@ -28,7 +28,7 @@ def save(path: Path, methods: Sequence[Method], crops: Sequence[Crop], scale: fl
     figure_width = columns * (cell + gap) + gap
     whole_height = figure_width * height / width
     figure_height = whole_height + caption + rows * (cell_height + gap) + 2 * gap
-    figure = Figure(figsize=(figure_width, figure_height), facecolor="white", dpi=110)
+    figure = Figure(figsize=(figure_width, figure_height), facecolor="white", dpi=84)
     FigureCanvasAgg(figure)
 
     def panel(left: float, top: float, w: float, h: float, image: NDArray[Any], smooth: bool) -> Any:
