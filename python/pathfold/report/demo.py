@@ -10,6 +10,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -56,8 +57,10 @@ def demo(
     width, height = parse_size(size) or (384, 256)
     scene = still_life(width, height)
     console.say(f"rendering {width}x{height} at {spp} spp")
-    plain_ms, _ = timed(lambda: traced(scene, spp, MAX_DEPTH, False))
-    render_ms, (buffers, samples) = timed(lambda: traced(scene, spp, MAX_DEPTH, True))
+    renders: dict[Any, Callable[[], Any]] = {
+        described: partial(traced, scene, spp, MAX_DEPTH, described) for described in (False, True)
+    }
+    (plain_ms, _), (render_ms, (buffers, samples)) = in_turns(renders, rounds=3).values()
 
     console.say("denoising")
     guides = (buffers["color"], buffers["albedo"], buffers["normal"])
@@ -70,7 +73,7 @@ def demo(
         entries[name] = (render_ms if reads else plain_ms, apply(denoiser, buffers | samples))
     denoised = [
         Method(name, image, render_ms=entries[name][0], denoise_ms=ms)
-        for name, (ms, image) in in_turns({name: call for name, (_, call) in entries.items()}).items()
+        for name, (ms, image) in in_turns({name: call for name, (_, call) in entries.items()}, ROUNDS).items()
     ]
     same_time = equal_time(scene, spp, denoised[-1].total_ms or 0)
     noisy = Method(f"{spp} spp", buffers["color"], render_ms=plain_ms)
@@ -104,27 +107,16 @@ def apply(denoiser: Denoiser, buffers: dict[str, Any]) -> Callable[[], Image]:
     return lambda: denoiser.run_buffers(read).color
 
 
-def timed(call: Callable[[], Any], rounds: int = 3) -> tuple[float, Any]:
-    """Median milliseconds after one warm-up call, and the last result."""
-    call()
-    took = []
-    for _ in range(rounds):
-        start = perf_counter()
-        result = call()
-        took.append(1000 * (perf_counter() - start))
-    return median(took), result
-
-
-def in_turns(calls: dict[str, Callable[[], Image]]) -> dict[str, tuple[float, Image]]:
+def in_turns(calls: dict[Any, Callable[[], Any]], rounds: int) -> dict[Any, tuple[float, Any]]:
     """Median milliseconds of every call and its result; the calls take turns, so that a busy moment hits all."""
-    images = {name: call() for name, call in calls.items()}
-    took: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(ROUNDS):
+    results = {name: call() for name, call in calls.items()}  # the warm-up
+    took: dict[Any, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
         for name, call in calls.items():
             start = perf_counter()
             call()
             took[name].append(1000 * (perf_counter() - start))
-    return {name: (median(took[name]), images[name]) for name in calls}
+    return {name: (median(took[name]), results[name]) for name in calls}
 
 
 def equal_time(scene: Any, spp: int, budget_ms: float) -> Method:
@@ -134,7 +126,7 @@ def equal_time(scene: Any, spp: int, budget_ms: float) -> Method:
     def render(count: int) -> Image:
         return np.array(mi.render(scene, spp=count, seed=mi.UInt32(SEED)), np.float32)[..., :3]
 
-    ms, _ = timed(lambda: render(spp))
+    ((ms, _),) = in_turns({spp: lambda: render(spp)}, rounds=3).values()
     count = max(1, round(spp * budget_ms / ms))
     start = perf_counter()
     image = render(count)
