@@ -183,6 +183,7 @@ def test_version_and_help(run) -> None:
     import pathfold
 
     assert run("--version") == (0, f"pathfold {pathfold.version()}\n", "")
+    assert run() == (2, run("--help")[1], "")
     assert all(command in run("--help")[1] for command in ("denoise", "render", "info", "compare", "Exit codes"))
 
 

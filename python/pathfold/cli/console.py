@@ -30,9 +30,10 @@ def say(text: str) -> None:
 
 
 def complain(error: object) -> None:
-    """One line on stderr."""
+    """One line on stderr; nothing where typer has said it all by printing the help."""
     text = error.format_message() if hasattr(error, "format_message") else str(error) or type(error).__name__
-    print(f"pathfold: {' '.join(text.split())}", file=sys.stderr, flush=True)
+    if text:
+        print(f"pathfold: {' '.join(text.split())}", file=sys.stderr, flush=True)
 
 
 def exit_code(error: Exception) -> int | None:
