@@ -136,7 +136,7 @@ def channels(record: Record) -> dict[str, list[Any]]:
         roughnesses.append(vertex.roughness)
     photon = dr.select(lit, record.photon, 0)
     product += dr.log(photon)
-    undivided = dr.select(dr.isfinite(product), dr.maximum(product, LOG_FLOOR), DEAD)
+    undivided: Any = dr.select(dr.isfinite(product), dr.maximum(product, LOG_FLOOR), DEAD)
     total = count + dr.select(sampled, mi.UInt32(1), 0)
     return {
         "descriptor": half([*undivided, *logarithm(photon), *attenuations, *tags, *roughnesses]),
@@ -156,5 +156,5 @@ def logarithm(color: Any) -> Any:
 
 def half(values: Any) -> list[Any]:
     """Convert device arrays to float16 where they are."""
-    float16 = dr.float16_array_t(mi.Float)
+    float16: Any = dr.float16_array_t(mi.Float)
     return [float16(value) for value in values]

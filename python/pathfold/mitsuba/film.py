@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -31,7 +32,8 @@ class Film:
                 f"film filter {self._filter.class_name()} has negative lobes and cannot be sampled; "
                 "use box, tent or gaussian"
             )
-        return mi.ContinuousDistribution([-self._radius, self._radius], mi.Float(np.maximum(weights, 0)))
+        extent = mi.ScalarVector2f(-self._radius, self._radius)
+        return mi.ContinuousDistribution(extent, mi.Float(np.maximum(weights, 0)))
 
     def sample(self, uniform: Any) -> Any:
         """Map a uniform 2D sample to an offset in pixels from the pixel centre."""
@@ -41,6 +43,12 @@ class Film:
 
     def place(self, pixel: Any, offset: Any) -> Any:
         """Return the film position in [0, 1]^2 of a pixel index and an offset."""
-        row = pixel // self.width
-        centre = mi.Point2f(mi.Float(pixel - row * self.width), mi.Float(row)) + 0.5
-        return (centre + offset) / mi.Point2f(self.width, self.height)
+        width, height = opaque(self.width), opaque(self.height)
+        row = pixel // width
+        centre = mi.Point2f(mi.Float(pixel - row * width), mi.Float(row)) + 0.5
+        return (centre + offset) / mi.Point2f(mi.Float(width), mi.Float(height))
+
+
+def opaque(number: int) -> Any:
+    """Hide a number from the compiler, so that kernels are not compiled again for another one."""
+    return dr.opaque(mi.UInt32, number)

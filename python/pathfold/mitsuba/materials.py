@@ -30,7 +30,7 @@ UNKNOWN_ALPHA = 0.5
 def _collector(variant: str) -> type:
     """Return the class that lists the objects below another; its base differs between Mitsuba's variants."""
 
-    class Collector(mi.TraversalCallback):  # type: ignore[misc, name-defined]
+    class Collector(mi.TraversalCallback):
         def __init__(self) -> None:
             super().__init__()
             self.found: dict[str, Any] = {}
@@ -223,8 +223,8 @@ def _combine(bsdf: Any, ask: Any, si: Any, active: Any) -> Any:
 
 def _conductor_fresnel(parts: dict[str, Any], si: Any, active: Any) -> Any:
     eta, k = parts["eta"].eval(si, active), parts["k"].eval(si, active)
-    cosine = dr.abs(si.wi.z)
-    fresnel = mi.Color3f(*(mi.fresnel_conductor(cosine, mi.Complex2f(eta[i], k[i])) for i in range(3)))
+    pair: Any = mi.Complex2f
+    fresnel = mi.Color3f(*(mi.fresnel_conductor(dr.abs(si.wi.z), pair(eta[i], k[i])) for i in range(3)))
     tint = parts.get("specular_reflectance")
     return fresnel if tint is None else fresnel * tint.eval(si, active)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import descriptor, materials
-from .film import Film
+from .film import Film, opaque
 from .walk import Guides, Path, Settings, walk
 
 MAX_LANES = 2**32 // 36
@@ -109,7 +109,7 @@ def trace(
         )
     settings = Settings(max_depth, rr_depth, vertices, descriptors, emitter_sampling, materials.survey(scene))
     # Sample-major lanes: every channel is a plane S x H x W as it leaves the device.
-    pixel = dr.arange(mi.UInt32, film.pixels * spp) % film.pixels
+    pixel = dr.arange(mi.UInt32, film.pixels * spp) % opaque(film.pixels)
     position, path, guides, record = launch(scene, camera, film, pixel, (seed, 0), settings)
     columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
     if record is not None:
@@ -140,7 +140,7 @@ def trace_mean(
     for index, first in enumerate(range(0, spp, chunk)):
         size = min(chunk, spp - first)
         # Pixel-major lanes: the samples of a pixel lie side by side and are summed as a block.
-        pixel = dr.arange(mi.UInt32, film.pixels * size) // size
+        pixel = dr.arange(mi.UInt32, film.pixels * size) // opaque(size)
         _, path, guides, _ = launch(scene, camera, film, pixel, (seed, 1, index), settings)
         columns = pack(camera, path, guides, list)
         finite = dr.full(mi.Bool, True, film.pixels * size)
@@ -194,7 +194,9 @@ def launch(
     offset = film.sample(sampler.next_2d())
     aperture = sampler.next_2d() if camera.needs_aperture_sample() else mi.Point2f(0.5)
     ray, weight = camera.sample_ray(0, 0, film.place(pixel, offset), aperture)
-    path, guides, record = walk(scene, sampler, ray, settings)
+    # Rays start at the near plane, distance at the camera.
+    distance = dr.dot(ray.d, ray.o - camera.world_transform() @ mi.Point3f(0))
+    path, guides, record = walk(scene, sampler, ray, distance, settings)
     path.radiance *= weight
     path.diffuse *= weight
     return offset, path, guides, record

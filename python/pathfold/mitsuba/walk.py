@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from . import materials
 from .descriptor import Record, light_vertex, sampled_vertex
+from .film import opaque
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Guides:
     distance: Any
 
     @staticmethod
-    def empty() -> Guides:
+    def start(distance: Any) -> Guides:
         return Guides(
             albedo=mi.Color3f(1),
             diffuse_albedo=mi.Color3f(0),
@@ -85,7 +86,7 @@ class Guides:
             depth=mi.Float(0),
             covered=mi.Bool(False),
             found=mi.Bool(False),
-            distance=mi.Float(0),
+            distance=mi.Float(distance),
         )
 
 
@@ -115,15 +116,15 @@ class Light:
     pdf: Any
 
 
-def walk(scene: Any, sampler: Any, ray: Any, settings: Settings) -> tuple[Path, Guides, Record | None]:
-    """Trace one path per lane from `ray` and return what it gathered."""
+def walk(scene: Any, sampler: Any, ray: Any, distance: Any, settings: Settings) -> tuple[Path, Guides, Record | None]:
+    """Trace one path per lane from `ray`, which starts `distance` from the camera; return what it gathered."""
 
     def body(sampler: Any, path: Path, guides: Guides, record: Record | None) -> tuple[Any, ...]:
         step(scene, sampler, path, guides, record, settings)
         return sampler, path, guides, record
 
     record = Record.empty(settings.vertices) if settings.descriptors else None
-    state = (sampler, Path.start(ray), Guides.empty(), record)
+    state = (sampler, Path.start(ray), Guides.start(distance), record)
     limit = settings.max_depth if settings.max_depth > 0 else None
     out = dr.while_loop(state, lambda sampler, path, *_: path.active, body, label="pathfold", max_iterations=limit)
     return out[1:]
@@ -182,10 +183,10 @@ def find_light(scene: Any, si: Any, path: Path, record: Record | None, settings:
     return found & si.is_valid()
 
 
-def interact(scene: Any, sampler: Any, si: Any, emits: Any, path: Path, settings: Settings) -> tuple[Hit, Light | None]:
+def interact(scene: Any, sampler: Any, si: Any, emits: Any, path: Path, settings: Settings) -> tuple[Hit, Light]:
     """Sample an emitter and the BSDF, and evaluate the BSDF towards the emitter, in one call."""
     valid = si.is_valid()
-    on = valid & (path.depth + 1 < settings.max_depth) if settings.max_depth > 0 else valid
+    on = valid & (path.depth + 1 < opaque(settings.max_depth)) if settings.max_depth > 0 else valid
     bsdf = si.bsdf(path.ray)
     lit, ds, weight = mi.Bool(False), dr.zeros(mi.DirectionSample3f), mi.Color3f(0)
     if settings.emitter_sampling:
@@ -254,7 +255,7 @@ def gather_guides(guides: Guides, hit: Hit, settings: Settings) -> None:
 def roulette(sampler: Any, path: Path, record: Record | None, depth: int) -> None:
     """Play Mitsuba's Russian roulette."""
     survival = dr.minimum(dr.max(path.throughput) * dr.square(path.eta), 0.95)
-    play = path.depth >= depth
+    play = path.depth >= opaque(depth)
     path.active &= ~play | (sampler.next_1d() < survival)
     path.throughput = dr.select(play, path.throughput / survival, path.throughput)
     if record is not None:

@@ -1,0 +1,238 @@
+"""The tracer against Mitsuba's own path integrator, and the identities that its descriptors promise."""
+
+import gc
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+if mi.variant() != "llvm_ad_rgb":
+    mi.set_variant("llvm_ad_rgb")
+
+import tracer_scenes as scenes
+from pathfold.mitsuba import Samples, trace, trace_mean
+
+LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
+BLOCKS = 4
+SCENES = [scenes.room, scenes.glassware, scenes.shelf, scenes.terrace]
+SIGMA = 4.0  # standard errors: one in 16,000 normal values lies further out, 16 blocks a comparison
+
+
+@pytest.fixture(scope="module", params=SCENES, ids=lambda build: build.__name__)
+def scene(request: pytest.FixtureRequest) -> Iterator[Any]:
+    """One scene alive at a time: Dr.Jit compiles the materials of all of them into every kernel."""
+    yield request.param()
+    gc.collect()
+
+
+def only(*builders: Callable[[], Any]) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("scene", builders, indirect=True, ids=lambda build: build.__name__)
+
+
+def blocks(image: np.ndarray) -> np.ndarray:
+    """Sum an H x W image over a grid of blocks."""
+    h, w = image.shape
+    return image.reshape(BLOCKS, h // BLOCKS, BLOCKS, w // BLOCKS).sum((1, 3))
+
+
+def path_moments(scene: Any, spp: int, max_depth: int) -> tuple[np.ndarray, np.ndarray]:
+    """Block means of luminance by Mitsuba's path integrator, and their variances from its second moments."""
+    path = {"type": "path", "max_depth": max_depth}
+    image = np.array(mi.render(scene, integrator=mi.load_dict({"type": "moment", "p": path}), spp=spp, seed=77))
+    mean, square = image[..., 4].astype(np.float64), image[..., 7].astype(np.float64)
+    pixels = mean.size / BLOCKS**2
+    return blocks(mean) / pixels, blocks((square - mean**2) / (spp - 1)) / pixels**2
+
+
+def moments(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Block means and variances of S x H x W x 3 samples, in luminance."""
+    brightness = values.astype(np.float64) @ LUMINANCE
+    pixels = brightness[0].size / BLOCKS**2
+    variance = brightness.var(0, ddof=1) / len(brightness)
+    return blocks(brightness.mean(0)) / pixels, blocks(variance) / pixels**2
+
+
+def deviation(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> float:
+    """Largest difference of two sets of means in standard errors."""
+    return float(np.abs((a[0] - b[0]) / np.sqrt(a[1] + b[1] + 1e-16)).max())
+
+
+def recorded(samples: Samples) -> np.ndarray:
+    """Return undivided radiance over sampling density, S x H x W x 3."""
+    assert samples.descriptor is not None
+    logs = samples.descriptor[..., :3].astype(np.float64)
+    return np.where(logs > -99, np.exp(logs - samples.density), 0)
+
+
+def test_radiance_is_that_of_the_path_integrator(scene: Any) -> None:
+    ours = moments(trace(scene, spp=256, seed=1, max_depth=6).radiance)
+    assert deviation(ours, path_moments(scene, 256, 6)) < SIGMA
+
+
+def test_split_adds_up(scene: Any) -> None:
+    samples = trace(scene, spp=16, seed=4, max_depth=6)
+    assert (samples.diffuse >= 0).all()
+    assert (samples.specular >= -1e-5 * samples.radiance).all()
+    assert 0 < samples.diffuse.sum() < samples.radiance.sum()
+    buffers = samples.reduce()
+    np.testing.assert_allclose(buffers["diffuse"] + buffers["specular"], buffers["color"], rtol=1e-5, atol=1e-6)
+
+
+@only(scenes.room, scenes.glassware)
+def test_undivided_radiance_is_the_product_of_the_walk(scene: Any) -> None:
+    samples = trace(scene, spp=16, seed=2, max_depth=7, emitter_sampling=False)
+    logs = samples.descriptor[..., :24].astype(np.float64)
+    tags = samples.descriptor[..., 24:30]
+    assert not samples.overlong.any()
+    vertices = logs[..., 6:].reshape(*tags.shape, 3)
+    product = logs[..., 3:6] + np.where(tags[..., None] > 0, vertices, 0).sum(-2)
+    lit = (logs[..., :24] > -99)[..., 3:6] & (logs[..., :3] > -99)
+    rounding = np.abs(logs).max() * 8 * 2.0**-11
+    assert lit.any()
+    np.testing.assert_allclose(product[lit], logs[..., :3][lit], atol=rounding)
+    # The walk of a path that finds no light stays, with neither radiance nor photon energy.
+    dark = samples.radiance.sum(-1) == 0
+    assert (logs[dark][:, :6] == -100).all()
+    assert dark.any() == (tags[dark] > 0).any()
+
+
+@only(scenes.glassware, scenes.terrace)
+def test_descriptor_over_density_is_the_image_without_emitter_sampling(scene: Any) -> None:
+    samples = trace(scene, spp=256, seed=3, max_depth=6, emitter_sampling=False)
+    path = recorded(samples)
+    lit = samples.radiance > 1e-6
+    scale = np.abs(samples.descriptor[..., :6].astype(np.float64)).max(-1, keepdims=True)
+    error = np.abs(np.log(path[lit] / samples.radiance[lit]))
+    assert (error < 2.0**-10 * np.broadcast_to(scale, lit.shape)[lit] + 1e-3).all()
+    assert deviation(moments(path), path_moments(scene, 256, 6)) < SIGMA
+
+
+def test_light_sample_ends_the_recorded_path() -> None:
+    scene = scenes.load(
+        floor=scenes.floor({"type": "diffuse", "reflectance": scenes.rgb(0.5, 0.25, 0.0)}),
+        lamp={"type": "point", "position": [0.5, 1, 0], "intensity": scenes.rgb(3, 4, 5)},
+        sensor=scenes.camera([0, 3, -0.01], [0, -1, 0], size=8),
+    )
+    samples = trace(scene, spp=4, seed=0, max_depth=6)
+    np.testing.assert_allclose(recorded(samples), samples.radiance, rtol=5e-3, atol=1e-6)
+    descriptor = samples.descriptor.astype(np.float64)
+    assert (descriptor[..., [2, 8]] == -100).all()  # blue is dead: albedo 0
+    assert (descriptor[..., 9:24] == -100).all()  # the recorded path ends at its first vertex
+    np.testing.assert_array_equal(np.unique(descriptor[..., 24:30].reshape(-1, 6), axis=0), [[5, 0, 0, 0, 0, 0]])
+    np.testing.assert_array_equal(np.unique(descriptor[..., 30:36].reshape(-1, 6), axis=0), [[1, 0, 0, 0, 0, 0]])
+    np.testing.assert_allclose(samples.density, 0, atol=1e-6)  # the only light is sampled with certainty
+
+
+@only(scenes.room)
+def test_roulette_keeps_the_mean_and_joins_the_density(scene: Any) -> None:
+    played = trace(scene, spp=256, seed=6, max_depth=6, rr_depth=2, emitter_sampling=False)
+    assert deviation(moments(played.radiance), moments(recorded(played))) < 0.1
+    assert deviation(moments(trace(scene, spp=256, seed=6, rr_depth=2).radiance), path_moments(scene, 256, 6)) < SIGMA
+
+
+@only(scenes.room)
+def test_max_depth_one_shows_emitters_only(scene: Any) -> None:
+    samples = trace(scene, spp=8, max_depth=1)
+    lamp = samples.radiance.sum(-1) > 0
+    np.testing.assert_allclose(samples.radiance[lamp], np.broadcast_to([9, 8, 6], (lamp.sum(), 3)))
+    assert samples.diffuse.max() == 0
+    np.testing.assert_array_equal(np.unique(samples.descriptor[..., 24:]), [0])
+
+
+@only(scenes.room)
+def test_longer_paths_than_recorded_are_flagged(scene: Any) -> None:
+    short, long = (trace(scene, spp=8, seed=1, vertices=k) for k in (2, 6))
+    assert short.descriptor.shape[-1] == 16
+    assert short.overlong.mean() > 0.3
+    assert not long.overlong.any()
+    np.testing.assert_array_equal(short.radiance, long.radiance)
+
+
+@only(scenes.shelf)
+def test_a_seed_gives_identical_arrays(scene: Any) -> None:
+    first, again, other = (trace(scene, spp=4, seed=seed) for seed in (9, 9, 10))
+    for name, values in vars(first).items():
+        np.testing.assert_array_equal(values, getattr(again, name), err_msg=name)
+    plain = trace(scene, spp=4, seed=9, descriptors=False)
+    assert plain.descriptor is None
+    np.testing.assert_array_equal(plain.radiance, first.radiance)
+    assert (first.radiance != other.radiance).mean() > 0.5
+
+
+@only(scenes.room)
+def test_trace_mean_averages_the_same_samples(scene: Any) -> None:
+    means = [trace_mean(scene, spp=64, seed=seed) for seed in (1, 1, 2)]
+    reference = trace(scene, spp=256, seed=5)
+    np.testing.assert_array_equal(means[0]["color"], means[1]["color"])
+    assert (means[0]["color"] != means[2]["color"]).any()
+    expected, variance = moments(reference.radiance)
+    got = blocks(means[0]["color"].astype(np.float64) @ LUMINANCE) / (reference.radiance[0, ..., 0].size / BLOCKS**2)
+    assert (np.abs(got - expected) < SIGMA * np.sqrt(5 * variance)).all()
+    buffers = reference.reduce()
+    for name in ("diffuse.albedo", "albedo", "normal", "depth", "alpha"):
+        assert means[0][name].shape == buffers[name].shape
+        np.testing.assert_allclose(means[0][name].mean(), buffers[name].mean(), rtol=0.02, atol=0.01)
+    assert means[0]["dropped"] == 0
+
+
+@only(scenes.room)
+def test_chunks_of_trace_mean_are_averaged_by_their_size(scene: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pathfold.mitsuba.tracer.CHUNK_LANES", 24 * 32 * 32)
+    means = trace_mean(scene, spp=64, seed=1)
+    whole = trace(scene, spp=64, seed=1).radiance.mean()
+    np.testing.assert_allclose(means["color"].mean(), whole, rtol=0.05)
+    assert means["alpha"].max() <= 1
+
+
+@only(scenes.room)
+def test_reduce_drops_and_counts_what_is_not_finite(scene: Any) -> None:
+    samples = trace(scene, spp=6, seed=1)
+    clean = samples.reduce()
+    expected = samples.radiance.astype(np.float64).var(0, ddof=1) / 6
+    np.testing.assert_allclose(clean["variance"], expected, rtol=1e-3, atol=1e-7)
+    samples.radiance[2, 3, 4, 1] = np.nan
+    samples.diffuse[1, 3, 4, 0] = np.inf
+    buffers = samples.reduce()
+    assert buffers["dropped"] == 2
+    left = samples.radiance[[0, 3, 4, 5], 3, 4]
+    np.testing.assert_allclose(buffers["color"][3, 4], left.mean(0), rtol=1e-5)
+    np.testing.assert_allclose(buffers["variance"][3, 4], left.var(0, ddof=1) / 4, rtol=1e-3, atol=1e-8)
+    single = trace(scene, spp=1).reduce()
+    assert single["variance"].max() == 0
+
+
+@only(scenes.room)
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"spp": 0}, "spp is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"sensor": 2}, "sensor 2 does not exist; the scene has 1"),
+        ({"vertices": 0}, "vertices is 0"),
+        ({"max_depth": 0}, "max_depth is 0"),
+        ({"max_depth": -1}, "together with rr_depth"),
+        ({"spp": 10**6}, "lower spp"),
+    ],
+)
+def test_arguments_out_of_range_are_named(scene: Any, arguments: dict[str, int], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        trace(scene, **arguments)
+
+
+@only(scenes.room)
+def test_unlimited_depth_needs_roulette_only(scene: Any) -> None:
+    assert np.isfinite(trace(scene, spp=2, max_depth=-1, rr_depth=3).radiance).all()
+
+
+@only(scenes.room)
+def test_other_objects_and_variants_are_named(scene: Any) -> None:
+    with pytest.raises(TypeError, match="scene is a str"):
+        trace("scene.xml")
+    try:
+        mi.set_variant("scalar_rgb")
+        with pytest.raises(RuntimeError, match=r"scalar_rgb.*llvm_ad_rgb"):
+            trace(scene)
+    finally:
+        mi.set_variant("llvm_ad_rgb")
