@@ -134,3 +134,8 @@ def test_one_sample_has_no_variance() -> None:
     inputs = frame_inputs({f"samples.{n}": torch.rand(1, c, 4, 4) for n, c in shapes.items()}, 1.0, 1.0)
     assert float(inputs["variance.present"]) == 0.0
     assert inputs["variance"].abs().max() == 0.0
+
+
+def test_last_checkpoint_is_of_the_last_step(data_set: Path, tmp_path: Path) -> None:
+    last = fit(with_steps(TINY, 3), data_set, tmp_path / "run", validate_every=1000, save_every=2, threads=1)
+    assert torch.load(last, map_location="cpu", weights_only=True)["global_step"] == 3

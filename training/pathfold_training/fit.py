@@ -94,6 +94,7 @@ def fit(
     if start_from and not last.is_file():
         warm_start(task, start_from)
     trainer.fit(task, train, validation, ckpt_path=last if last.is_file() else None, weights_only=False)
+    trainer.save_checkpoint(last)  # the callback saves at multiples of `save_every` only
     return last
 
 
