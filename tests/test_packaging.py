@@ -35,9 +35,7 @@ assert not {"torch", "mitsuba", "OpenImageIO"} & set(sys.modules)
 
 def run(*command: str | Path, cwd: Path = ROOT) -> str:
     """Run a command with nothing of this checkout in its environment; return what it prints."""
-    clean = {
-        name: value for name, value in os.environ.items() if not name.startswith(("PATHFOLD_", "PYTHON"))
-    }
+    clean = {name: value for name, value in os.environ.items() if not name.startswith(("PATHFOLD_", "PYTHON"))}
     done = subprocess.run(command, cwd=cwd, env=clean, text=True, capture_output=True)
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
     return done.stdout
