@@ -54,9 +54,10 @@ def gather(image: np.ndarray, logits: np.ndarray) -> np.ndarray:
     height, width = image.shape[:2]
     shifts = [(slice(y, y + height), slice(x, x + width)) for y in range(size) for x in range(size)]
     scores = np.stack([np.where(valid[s], logits[t].astype(np.float64), -np.inf) for t, s in enumerate(shifts)])
-    weights = np.exp(scores - scores.max(0))
-    total = sum(weights[t][..., None] * values[s] for t, s in enumerate(shifts))
-    return total / weights.sum(0)[..., None]
+    with np.errstate(invalid="ignore"):  # NaN where no tap is valid
+        weights = np.exp(scores - scores.max(0))
+        total = sum(weights[t][..., None] * values[s] for t, s in enumerate(shifts))
+        return total / weights.sum(0)[..., None]
 
 
 def log_average_exposure(color: np.ndarray) -> float:

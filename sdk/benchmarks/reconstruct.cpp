@@ -50,6 +50,7 @@ BENCHMARK(gather_kernels)
     ->Args({21, 10, 0})
     ->Args({21, 3, 1})
     ->Unit(benchmark::kMillisecond)
+    ->MeasureProcessCPUTime()
     ->UseRealTime();
 
 } // namespace pathfold::core

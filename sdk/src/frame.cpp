@@ -107,20 +107,23 @@ std::vector<std::string> Frame::input_names() const {
 }
 
 void Frame::check(const Manifest &manifest) const {
-    check_required(manifest);
+    check_color();
     check_sizes();
+    check_required(manifest);
     check_outputs(manifest);
 }
 
-void Frame::check_required(const Manifest &manifest) const {
-    const bool parts = has("diffuse") && has("specular");
-    if (!has("color") && !parts)
+void Frame::check_color() const {
+    if (!has("color") && !(has("diffuse") && has("specular")))
         fail(PATHFOLD_INVALID_ARGUMENT,
              "the frame has no color (nor diffuse and specular, whose sum it is); "
              "given: ",
              list(input_names()));
+}
+
+void Frame::check_required(const Manifest &manifest) const {
     for (const std::string &name : manifest.requires_)
-        if (!has(name) && !(name == "color" && parts))
+        if (!has(name) && name != "color") // which is there, or its parts are
             fail(PATHFOLD_INVALID_ARGUMENT, "the model ", manifest.name, " requires the buffer ", name,
                  ", which was not given; given: ", list(input_names()),
                  "; give it, or take a model that does without");

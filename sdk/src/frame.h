@@ -45,6 +45,7 @@ public:
     bool split(const Manifest &manifest) const;
 
 private:
+    void check_color() const;
     void check_sizes() const;
     void check_required(const Manifest &manifest) const;
     void check_outputs(const Manifest &manifest) const;

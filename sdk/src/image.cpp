@@ -66,43 +66,51 @@ bool ImageView::packed() const {
 void ImageView::load_row(int64_t sample, int y, int x, int count, float *out) const {
     const char *start = at(sample, y, x);
     const size_t values = size_t(count) * size_t(image_.channels);
-    const bool half = image_.format == PATHFOLD_FLOAT16;
-    if (packed()) {
-        if (half)
-            half_to_float(reinterpret_cast<const uint16_t *>(start), values, out);
-        else
+    if (image_.format == PATHFOLD_FLOAT32) {
+        if (packed())
             std::memcpy(out, start, values * sizeof(float));
+        else
+            gather_values(start, count, out);
         return;
     }
-    for (int i = 0; i < count; ++i)
-        for (int64_t c = 0; c < image_.channels; ++c) {
-            const char *value = start + i * image_.pixel_stride + c * image_.channel_stride;
-            if (half)
-                half_to_float(reinterpret_cast<const uint16_t *>(value), 1, out++);
-            else
-                std::memcpy(out++, value, sizeof(float));
-        }
+    thread_local std::vector<uint16_t> halves; // in order, so that they convert as vectors
+    halves.resize(values);
+    if (packed())
+        std::memcpy(halves.data(), start, values * sizeof(uint16_t));
+    else
+        gather_values(start, count, halves.data());
+    half_to_float(halves.data(), values, out);
 }
 
 void ImageView::store_row(int y, int x, int count, const float *values) const {
     char *start = at(0, y, x);
     const size_t all = size_t(count) * size_t(image_.channels);
-    const bool half = image_.format == PATHFOLD_FLOAT16;
-    if (packed()) {
-        if (half)
-            float_to_half(values, all, reinterpret_cast<uint16_t *>(start));
-        else
-            std::memcpy(start, values, all * sizeof(float));
+    if (image_.format == PATHFOLD_FLOAT32) {
+        scatter_values(values, count, start);
         return;
     }
-    for (int i = 0; i < count; ++i)
-        for (int64_t c = 0; c < image_.channels; ++c) {
-            char *value = start + i * image_.pixel_stride + c * image_.channel_stride;
-            if (half)
-                float_to_half(values++, 1, reinterpret_cast<uint16_t *>(value));
-            else
-                std::memcpy(value, values++, sizeof(float));
-        }
+    thread_local std::vector<uint16_t> halves;
+    halves.resize(all);
+    float_to_half(values, all, halves.data());
+    scatter_values(halves.data(), count, start);
+}
+
+/// Channel by channel, since planar views, whose channels are far apart, are the common kind that is not
+/// packed.
+template <typename Value>
+void ImageView::gather_values(const char *start, int count, Value *out) const {
+    for (int64_t c = 0; c < image_.channels; ++c)
+        for (int64_t i = 0; i < count; ++i)
+            std::memcpy(out + i * image_.channels + c,
+                        start + i * image_.pixel_stride + c * image_.channel_stride, sizeof(Value));
+}
+
+template <typename Value>
+void ImageView::scatter_values(const Value *values, int count, char *start) const {
+    for (int64_t c = 0; c < image_.channels; ++c)
+        for (int64_t i = 0; i < count; ++i)
+            std::memcpy(start + i * image_.pixel_stride + c * image_.channel_stride,
+                        values + i * image_.channels + c, sizeof(Value));
 }
 
 bool ImageView::overlaps(const ImageView &other) const {

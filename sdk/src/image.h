@@ -38,6 +38,10 @@ public:
 private:
     char *at(int64_t sample, int y, int x) const;
     bool packed() const; // pixels and channels of a row follow each other without gaps
+    template <typename Value>
+    void gather_values(const char *start, int count, Value *out) const;
+    template <typename Value>
+    void scatter_values(const Value *values, int count, char *start) const;
 
     pathfold_image image_{};
 };

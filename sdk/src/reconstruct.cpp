@@ -16,39 +16,33 @@ namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 using D = hn::ScalableTag<float>;
 
-/// Largest logit among the taps of the pixels from `logits` on; taps that are not valid do not count.
+/// Puts -infinity in the place of logits whose taps are not valid; returns the largest logit.
 template <bool masked>
-hn::Vec<D> LargestLogit(const float *logits, size_t tap_stride, const float *valid, size_t stride, int size) {
+hn::Vec<D> LargestLogit(float *logits, const float *valid, size_t stride, int size) {
     const D d;
-    const auto zero = hn::Zero(d);
+    const auto zero = hn::Zero(d), never = hn::Set(d, -std::numeric_limits<float>::infinity());
     auto largest = hn::Set(d, std::numeric_limits<float>::lowest());
     for (int dy = 0; dy < size; ++dy)
-        for (int dx = 0; dx < size; ++dx, logits += tap_stride) {
-            const auto larger = hn::Max(largest, hn::LoadU(d, logits));
-            if constexpr (masked)
-                largest =
-                    hn::IfThenElse(hn::Gt(hn::LoadU(d, valid + dy * stride + dx), zero), larger, largest);
-            else
-                largest = larger;
+        for (int dx = 0; dx < size; ++dx, logits += gather_block) {
+            auto logit = hn::LoadU(d, logits);
+            if constexpr (masked) {
+                logit = hn::IfThenElse(hn::Gt(hn::LoadU(d, valid + dy * stride + dx), zero), logit, never);
+                hn::StoreU(logit, d, logits);
+            }
+            largest = hn::Max(largest, logit);
         }
     return largest;
 }
 
-/// Writes exp(logit - largest) of every tap to `weights`, 0 for taps that are not valid; returns their sum.
-template <bool masked>
-hn::Vec<D> Weights(const float *logits, size_t tap_stride, const float *valid, size_t stride, int size,
-                   hn::Vec<D> largest, float *weights) {
+/// Turns logits into weights, exp(logit - largest), and returns their sum.
+hn::Vec<D> WeighTaps(float *logits, int taps, hn::Vec<D> largest) {
     const D d;
-    const auto zero = hn::Zero(d);
-    auto sum = zero;
-    for (int dy = 0; dy < size; ++dy)
-        for (int dx = 0; dx < size; ++dx, logits += tap_stride, weights += hn::Lanes(d)) {
-            auto weight = hn::Exp(d, hn::Sub(hn::LoadU(d, logits), largest));
-            if constexpr (masked)
-                weight = hn::IfThenElseZero(hn::Gt(hn::LoadU(d, valid + dy * stride + dx), zero), weight);
-            sum = hn::Add(sum, weight);
-            hn::StoreU(weight, d, weights);
-        }
+    auto sum = hn::Zero(d);
+    for (int tap = 0; tap < taps; ++tap, logits += gather_block) {
+        const auto weight = hn::Exp(d, hn::Sub(hn::LoadU(d, logits), largest));
+        sum = hn::Add(sum, weight);
+        hn::StoreU(weight, d, logits);
+    }
     return sum;
 }
 
@@ -67,7 +61,7 @@ void Apply(const float *weights, hn::Vec<D> sum, const float *values, size_t pla
     const D d;
     auto total0 = hn::Zero(d), total1 = total0, total2 = total0, total3 = total0;
     for (int dy = 0; dy < size; ++dy)
-        for (int dx = 0; dx < size; ++dx, weights += hn::Lanes(d)) {
+        for (int dx = 0; dx < size; ++dx, weights += gather_block) {
             const auto weight = hn::LoadU(d, weights);
             const float *value = values + dy * stride + dx;
             total0 = hn::MulAdd(weight, hn::LoadU(d, value), total0);
@@ -87,40 +81,44 @@ void Apply(const float *weights, hn::Vec<D> sum, const float *values, size_t pla
         WriteMean(total3, sum, count, result + 3 * result_stride);
 }
 
-void GatherRow(const Logits &logits, const Neighbourhood &source, int y, float *scratch, float *result) {
+/// One vector of pixels from (x, y) on, whose logits lie in `weights`, gather_block from tap to tap.
+void GatherPixels(const Neighbourhood &source, int x, int y, size_t count, float *weights, float *result) {
     const D d;
-    const int size = 2 * source.radius() + 1, width = source.width();
-    const size_t lanes = hn::Lanes(d), stride = source.stride();
-    const size_t plane_stride = source.row(1, 0) - source.row(0, 0);
-    const size_t result_stride = size_t(width) * source.height();
-    for (int x = 0; x < width; x += int(lanes)) {
-        const size_t count = std::min(lanes, size_t(width - x));
-        const float *first = logits.data + y * logits.row_stride + x;
-        const float *valid = source.valid_row(y - source.radius()) + x;
-        const bool all = source.invalid_taps(x, y, int(count)) == 0;
-        const auto largest = all ? LargestLogit<false>(first, logits.tap_stride, valid, stride, size)
-                                 : LargestLogit<true>(first, logits.tap_stride, valid, stride, size);
-        const auto sum = all ? Weights<false>(first, logits.tap_stride, valid, stride, size, largest, scratch)
-                             : Weights<true>(first, logits.tap_stride, valid, stride, size, largest, scratch);
-        for (int plane = 0; plane < source.planes(); plane += 4) {
-            const float *values = source.row(plane, y - source.radius()) + x;
-            float *out = result + plane * result_stride + size_t(y) * width + x;
-            using ApplyPlanes = decltype(&Apply<1>);
-            constexpr ApplyPlanes choices[] = {Apply<1>, Apply<2>, Apply<3>, Apply<4>};
-            const ApplyPlanes apply = choices[std::min(source.planes() - plane, 4) - 1];
-            apply(scratch, sum, values, plane_stride, stride, size, count, out, result_stride);
-        }
-        // The largest weight is 1, so a sum of 0 comes from taps that are not valid, or from logits of NaN.
-        if (!hn::AllFalse(d, hn::Eq(sum, hn::Zero(d))))
-            for (size_t i = 0; i < count; ++i)
-                if (source.invalid_taps(x + int(i), y, 1) == size * size)
-                    for (int plane = 0; plane < source.planes(); ++plane)
-                        result[plane * result_stride + size_t(y) * width + x + i] = 0;
+    const int size = 2 * source.radius() + 1;
+    const size_t stride = source.stride(), plane_stride = source.row(1, 0) - source.row(0, 0);
+    const size_t result_stride = size_t(source.width()) * source.height();
+    const float *valid = source.valid_row(y - source.radius()) + x;
+    const auto find = source.invalid_taps(x, y, int(count)) == 0 ? LargestLogit<false> : LargestLogit<true>;
+    const auto largest = find(weights, valid, stride, size);
+    const auto sum = WeighTaps(weights, size * size, largest);
+    using ApplyPlanes = decltype(&Apply<1>);
+    constexpr ApplyPlanes choices[] = {Apply<1>, Apply<2>, Apply<3>, Apply<4>};
+    for (int plane = 0; plane < source.planes(); plane += 4) {
+        const float *values = source.row(plane, y - source.radius()) + x;
+        float *out = result + plane * result_stride + size_t(y) * source.width() + x;
+        const ApplyPlanes apply = choices[std::min(source.planes() - plane, 4) - 1];
+        apply(weights, sum, values, plane_stride, stride, size, count, out, result_stride);
     }
+    // The largest weight is 1, so a sum of 0 comes from taps that are not valid, or from logits of NaN.
+    if (!hn::AllFalse(d, hn::Eq(sum, hn::Zero(d))))
+        for (size_t i = 0; i < count; ++i)
+            if (source.invalid_taps(x + int(i), y, 1) == size * size)
+                for (int plane = 0; plane < source.planes(); ++plane)
+                    result[plane * result_stride + size_t(y) * source.width() + x + i] = 0;
 }
 
-/// Floats of scratch memory that GatherRow needs for each tap.
-size_t LaneCount() { return hn::Lanes(D()); }
+void GatherRow(const Logits &logits, const Neighbourhood &source, int y, float *scratch, float *result) {
+    const size_t taps = size_t(2 * source.radius() + 1) * (2 * source.radius() + 1);
+    const size_t width = size_t(source.width()), lanes = hn::Lanes(D());
+    for (size_t x = 0; x < width; x += gather_block) {
+        // The taps of a pixel lie far apart, each in a memory page of its own: fetch many pixels at a time.
+        const float *from = logits.data + size_t(y) * logits.row_stride + x;
+        for (size_t tap = 0; tap < taps; ++tap)
+            std::copy_n(from + tap * logits.tap_stride, gather_block, scratch + tap * gather_block);
+        for (size_t i = 0; i < gather_block && x + i < width; i += lanes)
+            GatherPixels(source, int(x + i), y, std::min(lanes, width - x - i), scratch + i, result);
+    }
+}
 
 } // namespace HWY_NAMESPACE
 } // namespace pathfold::core
@@ -130,7 +128,6 @@ HWY_AFTER_NAMESPACE();
 namespace pathfold::core {
 
 HWY_EXPORT(GatherRow);
-HWY_EXPORT(LaneCount);
 
 void Neighbourhood::reset(int planes, int height, int width, int radius) {
     planes_ = planes, height_ = height, width_ = width, radius_ = radius;
@@ -160,7 +157,7 @@ int Neighbourhood::invalid_taps(int x, int y, int count) const {
 
 void gather(Threads &threads, const Logits &logits, const Neighbourhood &source, float *result) {
     const size_t size = 2 * size_t(source.radius()) + 1;
-    const size_t scratch_size = size * size * HWY_DYNAMIC_DISPATCH(LaneCount)();
+    const size_t scratch_size = size * size * gather_block;
     threads.execute([&] {
         using Rows = oneapi::tbb::blocked_range<int>;
         oneapi::tbb::parallel_for(Rows(0, source.height()), [&](const Rows &rows) {

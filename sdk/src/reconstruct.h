@@ -50,8 +50,11 @@ struct Logits {
     size_t tap_stride = 0, row_stride = 0;
 };
 
+/// Pixels of a row that are worked on at a time.
+constexpr size_t gather_block = 64;
+
 /// Floats that may be read past the end of a logits array.
-constexpr size_t gather_slack = 64;
+constexpr size_t gather_slack = gather_block;
 
 /// Applies the kernels: result[plane][y][x] = sum over valid taps of softmax(logits) * value, correlation,
 /// taps row by row, size 2 * radius + 1. A pixel without a valid tap becomes 0; one whose logits are all NaN,
