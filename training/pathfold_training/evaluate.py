@@ -124,7 +124,7 @@ def measure_scene(
             took = statistics.median(times[name]) if name in times else 0.0
             yield Row(folder.name, spp, seed, name, render_seconds=seconds, milliseconds=took, **scores)
         pictures = pictures or images | {"reference": reference.mean}
-    write_picture(out / f"{folder.name}-{spp}spp.png", pictures, metrics.exposure(reference.mean))
+    write_picture(out / f"{folder.name}-{spp}spp.jpg", pictures, metrics.exposure(reference.mean))
 
 
 def frames(folder: Path, reference: Reference, spp: int, seeds: int) -> Iterator[tuple[Buffers, float]]:
@@ -159,7 +159,9 @@ def write_picture(path: Path, pictures: dict[str, Image], scale: float) -> None:
     rows = [np.concatenate(tiles[i : i + 3], 1) for i in range(0, len(tiles), 3)]
     sheet = np.ascontiguousarray(np.concatenate(rows, 0), np.float32)
     file = oiio.ImageOutput.create(str(path))
-    if file is None or not file.open(str(path), oiio.ImageSpec(sheet.shape[1], sheet.shape[0], 3, "uint8")):
+    spec = oiio.ImageSpec(sheet.shape[1], sheet.shape[0], 3, "uint8")
+    spec.attribute("Compression", "jpeg:90")
+    if file is None or not file.open(str(path), spec):
         raise OSError(f"{path}: cannot be written: {oiio.geterror()}")
     file.write_image(sheet)
     file.close()
