@@ -15,7 +15,7 @@ constexpr int64_t max_edge = 1 << 16;
 constexpr int64_t max_samples = 1 << 16;
 constexpr int64_t max_channels = 64;
 
-int64_t value_size(pathfold_format format) { return format == PATHFOLD_FLOAT16 ? 2 : 4; }
+int64_t value_size(int32_t format) { return format == PATHFOLD_FLOAT16 ? 2 : 4; }
 
 /// The bytes between which a view's values lie: [first, last).
 std::pair<uintptr_t, uintptr_t> extent(const pathfold_image &image) {
@@ -36,7 +36,7 @@ ImageView::ImageView(const pathfold_image &image, const std::string &name) : ima
     if (image.data == nullptr)
         fail(PATHFOLD_INVALID_ARGUMENT, name, ": data is a null pointer; give the first pixel's address");
     if (image.format != PATHFOLD_FLOAT32 && image.format != PATHFOLD_FLOAT16)
-        fail(PATHFOLD_INVALID_ARGUMENT, name, ": format is ", int(image.format),
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": format is ", image.format,
              "; it must be PATHFOLD_FLOAT32 (0) or PATHFOLD_FLOAT16 (1)");
     if (image.width < 1 || image.height < 1 || image.channels < 1 || image.samples < 1)
         fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", size_text(),

@@ -83,7 +83,8 @@ TEST(Image, Complaints) {
     expect_error(PATHFOLD_INVALID_ARGUMENT, make(image), "albedo", "0 x 4 x 3", "at least one pixel");
     image = pathfold_packed(nullptr, PATHFOLD_FLOAT32, 1, 4, 4, 3);
     expect_error(PATHFOLD_INVALID_ARGUMENT, make(image), "albedo", "null pointer");
-    image = pathfold_packed(&value, pathfold_format(7), 1, 4, 4, 3);
+    image = pathfold_packed(&value, PATHFOLD_FLOAT32, 1, 4, 4, 3);
+    image.format = 7;
     expect_error(PATHFOLD_INVALID_ARGUMENT, make(image), "format is 7");
     image = pathfold_packed(&value, PATHFOLD_FLOAT32, 1, 1 << 20, 4, 3);
     expect_error(PATHFOLD_INVALID_ARGUMENT, make(image), "65536");

@@ -90,8 +90,8 @@ typedef enum pathfold_format { PATHFOLD_FLOAT32 = 0, PATHFOLD_FLOAT16 = 1 } path
 /* A view of the caller's pixels, never copied. Strides are in bytes, may be negative, and are taken as they
  * stand. Pixel images have samples = 1. */
 typedef struct pathfold_image {
-    void *data; /* first value of the first pixel; inputs are only read */
-    pathfold_format format;
+    void *data;     /* first value of the first pixel; inputs are only read */
+    int32_t format; /* a pathfold_format */
     int64_t samples, height, width, channels;
     int64_t sample_stride, row_stride, pixel_stride, channel_stride;
 } pathfold_image;
