@@ -55,15 +55,17 @@ def manifest(name: str | os.PathLike[str]) -> dict[str, Any]:
         loaded = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise failure("invalid-model", f"{path}: cannot be read: {error}; name a folder with a model in it") from error
-    if not isinstance(loaded, dict) or not isinstance(loaded.get("requires"), list):
-        raise failure("invalid-model", f"{path}: is no manifest: it has no list `requires`")
+    for key in ("requires", "uses"):
+        names = loaded.get(key) if isinstance(loaded, dict) else None
+        if not isinstance(names, list) or not all(isinstance(item, str) for item in names):
+            raise failure("invalid-model", f"{path}: is no manifest: `{key}` is not a list of buffer names")
     return loaded
 
 
 def inputs(name: str | os.PathLike[str]) -> set[str]:
     """All buffers that a model reads: those that it requires and those that it can use."""
     entry = manifest(name)
-    return {*entry["requires"], *entry.get("uses", ())}
+    return {*entry["requires"], *entry["uses"]}
 
 
 def shipped_inputs() -> set[str]:

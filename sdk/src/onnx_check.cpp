@@ -44,6 +44,8 @@ public:
         if (cursor_ == end_)
             return false;
         const uint64_t tag = varint();
+        if (tag > UINT32_MAX) // protobuf would cut it to 32 bits and see another field than this walk does
+            damaged();
         field_ = tag >> 3;
         switch (tag & 7) {
         case 0:

@@ -37,6 +37,9 @@ TEST(OnnxCheck, OtherFiles) {
     expect_refused(std::string(1000, '\0'), "not a whole ONNX model");
     expect_refused(std::string(1000, '\xff'), "not a whole ONNX model");
     expect_refused("{\"format\": 1}", "not a whole ONNX model");
+    // field 7, the graph, to whoever cuts the tag to 32 bits, as protobuf does
+    expect_refused(hostile("plain.onnx") + std::string("\xba\x80\x80\x80\x10\x00", 6),
+                   "not a whole ONNX model");
 }
 
 TEST(OnnxCheck, EveryTruncationIsRefusedOrWhole) {

@@ -69,7 +69,7 @@ class Reference:
 def evaluate(scenes: Path, out: Path, models: list[str], spp: int = 8, seeds: int = 3) -> list[Row]:
     """Measure every method on every scene and write results.jsonl, table.md and a picture per scene into `out`.
 
-    `scenes` holds folders with scene.xml and reference.exr. Resumes: scenes already in results.jsonl are kept.
+    `scenes` holds folders with scene.xml and reference.exr. Every run measures anew and replaces what `out` held.
     Raises ValueError where no such folder is found.
     """
     folders = sorted(p.parent for p in scenes.glob("*/reference.exr") if (p.parent / "scene.xml").is_file())
@@ -77,19 +77,15 @@ def evaluate(scenes: Path, out: Path, models: list[str], spp: int = 8, seeds: in
         raise ValueError(f"{scenes} has no folder with scene.xml and reference.exr")
     out.mkdir(parents=True, exist_ok=True)
     results = out / "results.jsonl"
-    rows = [Row(**json.loads(line)) for line in results.read_text().splitlines()] if results.is_file() else []
+    rows: list[Row] = []
     methods = peers(models)
-    known = {(r.scene, r.spp, r.seed, r.method) for r in rows}
     with Progress(console=Console(stderr=True)) as progress:
         bar = progress.add_task("scenes", total=len(folders))
         for folder in folders:
-            wanted = [(folder.name, spp, seed, method) for seed in range(seeds) for method in ["noisy", *methods]]
-            if not known.issuperset(wanted):
-                rows = [r for r in rows if (r.scene, r.spp) != (folder.name, spp)]
-                rows += measure_scene(folder, out, methods, spp, seeds)
-                results.write_text("".join(json.dumps(asdict(r)) + "\n" for r in rows))
+            rows += measure_scene(folder, out, methods, spp, seeds)
+            results.write_text("".join(json.dumps(asdict(r)) + "\n" for r in rows))
             progress.advance(bar)
-    (out / "table.md").write_text(table([r for r in rows if r.spp == spp], folders))
+    (out / "table.md").write_text(table(rows, folders))
     return rows
 
 

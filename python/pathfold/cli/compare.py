@@ -1,6 +1,7 @@
 """`pathfold compare`: the error of a picture against a reference."""
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,10 +32,12 @@ def compare(
         raise InputError(f"{', '.join(sizes)}; only pictures of one size can be compared")
     try:
         values = metrics.compare(x, r)
+        if halves := read_halves(reference):
+            values["rell2"] = metrics.rell2_halves(x, *halves)
     except ValueError as error:
         raise InputError(f"{image}: {error}") from error
-    if halves := read_halves(reference):
-        values["rell2"] = metrics.rell2_halves(x, *halves)
+    if not math.isfinite(sum(values.values())):
+        raise InputError(f"{reference}: its halves half_a, half_b hold pixels that are not finite; mend or remove them")
     if as_json:
         console.say(json.dumps(values))
         return
