@@ -28,7 +28,7 @@ def frame(height: int, width: int, samples: int, seed: int = 0) -> dict[str, tor
     return inputs | {"exposure": torch.ones(1), "depth_scale": torch.ones(1)}
 
 
-def naive_gather(logits: np.ndarray, radiance: np.ndarray, size: int) -> np.ndarray:
+def naive_gather(logits: np.ndarray, radiance: np.ndarray, size: int, trust: np.ndarray) -> np.ndarray:
     """The operator as its definition reads, pixel by pixel in float64."""
     _, height, width = radiance.shape
     out = np.zeros_like(radiance, dtype=np.float64)
@@ -37,7 +37,7 @@ def naive_gather(logits: np.ndarray, radiance: np.ndarray, size: int) -> np.ndar
         for tap in range(size * size):
             v, u = y + tap // size - size // 2, x + tap % size - size // 2
             if 0 <= v < height and 0 <= u < width and np.isfinite(radiance[:, v, u]).all():
-                taps.append((float(logits[tap, y, x]), radiance[:, v, u].astype(np.float64)))
+                taps.append((float(logits[tap, y, x] + trust[0, v, u]), radiance[:, v, u].astype(np.float64)))
         if taps:
             weights = np.exp(np.array([t[0] for t in taps]) - max(t[0] for t in taps))
             out[:, y, x] = (weights[:, None] * np.stack([t[1] for t in taps])).sum(0) / weights.sum()
@@ -52,14 +52,18 @@ def test_gather_is_its_definition(height: int, width: int, size: int) -> None:
     if height > 5:
         radiance[0, :, 2, 3] = float("nan")
         radiance[0, 1, 4, 4] = float("inf")
-    expected = naive_gather(logits[0].numpy(), radiance[0].numpy(), size)
-    np.testing.assert_allclose(gather(logits, radiance, size)[0].numpy(), expected, rtol=2e-5, atol=1e-6)
+    trust = 6 * torch.randn((1, 1, height, width), generator=g)
+    for given in (None, trust):
+        added = torch.zeros_like(trust) if given is None else given
+        expected = naive_gather(logits[0].numpy(), radiance[0].numpy(), size, added[0].numpy())
+        out = gather(logits, radiance, size, trust=given)[0].numpy()
+        np.testing.assert_allclose(out, expected, rtol=2e-5, atol=1e-6)
 
 
 def test_gather_on_a_lattice_is_a_subset_of_the_whole() -> None:
-    logits, radiance = torch.randn(2, 25, 12, 15), torch.rand(2, 3, 12, 15)
-    whole = gather(logits, radiance, 5)
-    part = gather(logits[:, :, 1::3, 2::3], radiance, 5, lattice=3, offset=(1, 2))
+    logits, radiance, trust = torch.randn(2, 25, 12, 15), torch.rand(2, 3, 12, 15), torch.randn(2, 1, 12, 15)
+    whole = gather(logits, radiance, 5, trust=trust)
+    part = gather(logits[:, :, 1::3, 2::3], radiance, 5, lattice=3, offset=(1, 2), trust=trust)
     torch.testing.assert_close(part, whole[:, :, 1::3, 2::3])
 
 
@@ -90,8 +94,8 @@ def test_images_of_unlike_sample_counts_in_a_batch_do_not_mix() -> None:
     branch = Branch(SMALL, demodulate=True)
     frames = [frame(12, 8, samples, seed=samples) for samples in (2, 5)]
     batch = {n: torch.cat([f[n] for f in frames]) for n in frames[0]}
-    together, _ = branch(batch, counts=[2, 5])
-    alone = torch.cat([branch(f)[0] for f in frames])
+    together = branch(batch, counts=[2, 5]).logits
+    alone = torch.cat([branch(f).logits for f in frames])
     torch.testing.assert_close(together, alone, rtol=1e-4, atol=1e-5)
 
 
@@ -103,7 +107,7 @@ def test_exposure_and_radiance_cancel() -> None:
     shifted = inputs["samples.descriptor"].clone()
     shifted[:, :6] += np.log(64.0)
     scaled["samples.descriptor"] = shifted
-    torch.testing.assert_close(branch(scaled)[0], branch(inputs)[0], rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(branch(scaled).logits, branch(inputs).logits, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("embedding", [0, 3])
@@ -118,7 +122,7 @@ def test_nothing_beyond_the_stated_overlap_matters(embedding: int) -> None:
     for name, value in changed.items():
         if value.dim() == 4 and name != "samples.valid":
             value[..., : column - reach] += 1.0
-    difference = (branch(changed)[0] - branch(inputs)[0]).abs()
+    difference = (branch(changed).logits - branch(inputs).logits).abs()
     assert difference[..., column:].max() == 0.0
     assert difference[..., : column - reach].max() > 0.0
 
@@ -131,7 +135,7 @@ def test_compact_presets_keep_the_budget(name: str) -> None:
 def test_full_preset_has_the_papers_size() -> None:
     network = load_preset("kpcn-manifold-full").network
     parameters = sum(p.numel() for b in Kpcn(network).branches.values() for p in b.trunk.parameters())
-    parameters += sum(p.numel() for b in Kpcn(network).branches.values() for p in b.head.parameters())
+    parameters += sum(p.numel() for b in Kpcn(network).branches.values() for p in b.kernels.parameters())
     assert 5.5e6 < parameters < 6.2e6  # paper notes 4.1: 5.88 M for R
 
 

@@ -1,5 +1,6 @@
 """Training end to end on a tiny data set: exact resume, warm start, the batch stream."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 import torch
 from pathfold_training.config import Config, Data, Loss, Network, Optimiser
 from pathfold_training.data import Crops, augment, frame_inputs, reduce_samples
-from pathfold_training.fit import fit, start_record
+from pathfold_training.export import export
+from pathfold_training.fit import checkpoint_weights, fit, start_record
 from training_data import write_data_set
 
 TINY = Config(
@@ -83,6 +85,19 @@ def test_start_from_copies_the_shared_weights(data_set: Path, tmp_path: Path) ->
     assert record is not None
     assert record["preset"] == "base"
     assert record["steps"] == 1
+
+
+def test_a_model_folder_starts_a_run_where_it_stood(data_set: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    checkpoint = fit(with_steps(TINY, 2), data_set, run, validate_every=1000, threads=1)
+    folder = export(checkpoint, tmp_path / "model", json.loads((run / "record.json").read_text()))
+    frozen = TINY.model_copy(update={"optimiser": TINY.optimiser.model_copy(update={"learning_rate": 0.0, "steps": 1})})
+    begun = fit(frozen, data_set, tmp_path / "begun", validate_every=1000, threads=1, start_from=folder)
+    for name, value in checkpoint_weights(checkpoint).items():
+        torch.testing.assert_close(checkpoint_weights(begun)[name], value, rtol=1e-5, atol=1e-6, msg=name)
+    start = start_record(folder)
+    assert start is not None
+    assert (start["preset"], start["steps"]) == ("tiny", 2)
 
 
 def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 // How long applying K x K kernels takes, in pixels per second: gather on all threads, by kernel size and
 // planes.
+#include <limits>
 #include <random>
 
 #include <benchmark/benchmark.h>
@@ -24,10 +25,10 @@ void gather_kernels(benchmark::State &state) {
     for (int y = 0; y < height; ++y) {
         for (int plane = 0; plane < planes; ++plane)
             std::fill_n(source.row(plane, y) + radius, width, 1.0f);
-        std::fill_n(source.valid_row(y) + radius, width, 1.0f);
+        std::fill_n(source.shift_row(y) + radius, width, 0.0f);
         if (masked) // a bad pixel here and there sends everything the slower way
             for (int x = 0; x < width; x += size)
-                source.valid_row(y)[radius + x] = 0;
+                source.shift_row(y)[radius + x] = -std::numeric_limits<float>::infinity();
     }
     source.finish();
     Threads threads;

@@ -103,7 +103,9 @@ void gather_image(const ImageView &view, const float *logits, int radius, const 
     for (int y = 0; y < height; ++y) {
         for (int c = 0; c < channels; ++c)
             std::copy_n(planes.row(c, y), width, source.row(c, y) + radius);
-        std::copy_n(valid.data() + size_t(y) * width, width, source.valid_row(y) + radius);
+        for (int x = 0; x < width; ++x)
+            if (valid[size_t(y) * width + x] != 0)
+                source.shift_row(y)[radius + x] = 0;
     }
     source.finish();
     std::vector<float> copy(logits, logits + taps * pixels), gathered(pixels * channels);

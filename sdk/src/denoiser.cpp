@@ -78,8 +78,7 @@ private:
 };
 
 void Denoiser::Run::plan() {
-    const int64_t taps = int64_t(manifest_.kernel_size) * manifest_.kernel_size;
-    const int64_t pixels = window_pixels(settings_, taps, packer_.floats_per_pixel());
+    const int64_t pixels = window_pixels(settings_, manifest_.logit_channels(), packer_.floats_per_pixel());
     if (settings_.tile % manifest_.tile_alignment != 0)
         fail(PATHFOLD_INVALID_ARGUMENT, "tile is ", settings_.tile, "; it must be a multiple of ",
              manifest_.tile_alignment, " for the model ", manifest_.name);
@@ -126,14 +125,14 @@ void Denoiser::Run::filter(const Tile &tile, int branch) {
 }
 
 Logits Denoiser::Run::predict(const Tile &tile, int branch) {
-    const int64_t taps = int64_t(manifest_.kernel_size) * manifest_.kernel_size;
+    const int64_t channels = manifest_.logit_channels();
     const int64_t height = tile.window.height, width = tile.window.width;
     const std::vector<Tensor> inputs = packer_.inputs(branch);
     std::vector<float> &logits = denoiser_.logits_;
-    logits.resize(std::max(logits.size(), size_t(taps * height * width) + gather_slack));
+    logits.resize(std::max(logits.size(), size_t(channels * height * width) + gather_slack));
     report_.times.pack += watch_.lap();
     model_.session(*prepared_.branches[size_t(branch)].branch)
-        .run(inputs, {"logits", {1, taps, height, width}, logits.data()});
+        .run(inputs, {"logits", {1, channels, height, width}, logits.data()});
     report_.times.network += watch_.lap();
     const int64_t x = tile.core.x - tile.window.x, y = tile.core.y - tile.window.y;
     return {logits.data() + y * width + x, size_t(height * width), size_t(width)};
@@ -147,7 +146,10 @@ void Denoiser::Run::fill_neighbourhood(const Tile &tile, int branch) {
     int planes = 0;
     for (const Signal &signal : prepared_.signals)
         planes += signal.branch == branch ? signal.values.channels() : 0;
-    source.reset(planes, tile.core.height, tile.core.width, radius);
+    source.reset(planes, tile.core.height, tile.core.width, radius, manifest_.trust);
+    const size_t window_width = size_t(tile.window.width);
+    const float *trust =
+        denoiser_.logits_.data() + (manifest_.logit_channels() - 1) * window_width * tile.window.height;
     for_rows(threads_, area.height, [&](int row) {
         const int y = area.y + row, to_y = y - tile.core.y, to_x = area.x - tile.core.x + radius;
         int plane = 0;
@@ -166,7 +168,10 @@ void Denoiser::Run::fill_neighbourhood(const Tile &tile, int branch) {
             }
         }
         const uint8_t *valid = prepared_.valid.data() + size_t(y) * frame_.width() + area.x;
-        std::copy_n(valid, area.width, source.valid_row(to_y) + to_x);
+        const float *shifts = trust + size_t(y - tile.window.y) * window_width + (area.x - tile.window.x);
+        for (int x = 0; x < area.width; ++x)
+            if (valid[x] != 0)
+                source.shift_row(to_y)[to_x + x] = manifest_.trust ? shifts[x] : 0;
     });
     source.finish();
 }

@@ -118,7 +118,8 @@ Pixels sum(const Pixels &a, const Pixels &b) {
 } // namespace
 
 TEST(Denoiser, ColorEqualsNaive) {
-    for (auto [model, size] : {std::pair("single-3", 3), {"single-21", 21}}) {
+    for (auto [model, size, channels] :
+         {std::tuple("single-3", 3, 9), {"single-21", 21, 441}, {"trust-5", 5, 26}}) {
         Scene scene = Scene::color(33, 47);
         Pixels clean = scene.buffers.at("color");
         scene.buffers.at("color").at(4, 5, 1) = nan;
@@ -129,7 +130,7 @@ TEST(Denoiser, ColorEqualsNaive) {
         clean.at(9, 9, 0) = 0;
         std::map<std::string, std::vector<float>> inputs = {{"radiance", planar(clean)},
                                                             {"exposure", {0.5f}}};
-        const std::vector<float> logits = naive_logits(model, "color", size * size, inputs, 33, 47);
+        const std::vector<float> logits = naive_logits(model, "color", channels, inputs, 33, 47);
         clean.at(4, 5, 0) = clean.at(20, 30, 0) = nan; // no taps
         expect_near(scene.denoise(model), naive_gather(clean, logits, size), 1e-5);
         EXPECT_EQ(scene.report["sanitised"]["non_finite"], 2);
@@ -172,6 +173,15 @@ TEST(Denoiser, SplitEqualsNaive) {
     expect_near(scene.results.at("specular"), specular, 1e-5);
     expect_near(scene.results.at("color"), sum(diffuse, specular), 1e-5);
     expect_near(scene.results.at("alpha"), naive_gather(scene.buffers.at("alpha"), logits, 5), 1e-5);
+}
+
+TEST(Denoiser, TrustReachesAcrossTiles) {
+    Scene scene = Scene::color(67, 93);
+    scene.buffers.at("color").at(16, 16, 0) = nan;
+    const Pixels whole = scene.denoise("trust-5");
+    scene.settings.tile = 16;
+    expect_near(scene.denoise("trust-5"), whole, 1e-5);
+    EXPECT_EQ(scene.report["tiles"], 30);
 }
 
 TEST(Denoiser, TiledEqualsWhole) {

@@ -158,7 +158,7 @@ std::vector<std::string> read_buffers(const Field &field) {
     return names;
 }
 
-Graph read_graph(const Field &field, int kernel_size) {
+Graph read_graph(const Field &field, int64_t logit_channels) {
     field.keys({"file", "sha256", "inputs", "outputs"});
     Graph graph;
     const Field file = field.at("file"), hash = field.at("sha256");
@@ -179,7 +179,7 @@ Graph read_graph(const Field &field, int kernel_size) {
     }
     const Field logits = field.at("outputs").keys({"logits"}).at("logits");
     graph.logits = read_shape(logits);
-    expect_shape(logits, graph.logits, {{1, ""}, {kernel_size * kernel_size, ""}, {-1, "H"}, {-1, "W"}});
+    expect_shape(logits, graph.logits, {{1, ""}, {logit_channels, ""}, {-1, "H"}, {-1, "W"}});
     return graph;
 }
 
@@ -199,11 +199,12 @@ Branch read_branch(const Field &field) {
 }
 
 void read_reconstruction(const Field &field, Manifest &manifest) {
-    field.keys({"operator", "size", "branches"});
+    field.keys({"operator", "size", "trust", "branches"});
     field.at("operator").one_of({"gather"});
     manifest.kernel_size = int(field.at("size").integer(1, max_kernel));
     if (manifest.kernel_size % 2 == 0)
         field.at("size").wrong("odd");
+    manifest.trust = field.has("trust") && field.at("trust").boolean();
     const Field branches = field.at("branches");
     for (const Field &item : branches.items())
         manifest.branches.push_back(read_branch(item));
@@ -299,13 +300,15 @@ Manifest Manifest::parse(const std::string &text) {
     manifest.uses = read_buffers(root.at("uses"));
     read_reconstruction(root.at("reconstruction"), manifest);
     for (const auto &[name, graph] : root.at("graphs").members())
-        manifest.graphs[name] = read_graph(graph, manifest.kernel_size);
+        manifest.graphs[name] = read_graph(graph, manifest.logit_channels());
     const Field exposure = root.at("exposure").keys({"rule", "key"});
     exposure.at("rule").one_of({"log-average"});
     manifest.exposure_key = float(exposure.at("key").number(1e-3, 1e3));
     const Field tile = root.at("tile").keys({"alignment", "overlap"});
     manifest.tile_alignment = int(tile.at("alignment").integer(1, 1024));
-    manifest.tile_overlap = int(tile.at("overlap").integer(0, 4096));
+    // a trusted pixel's own number is read wherever a kernel reaches
+    manifest.tile_overlap =
+        int(tile.at("overlap").integer(manifest.trust ? manifest.kernel_size / 2 : 0, 4096));
     const Field samples = root.at("samples_per_pixel").keys({"min", "max"});
     manifest.min_samples = samples.at("min").integer(1, 1 << 30);
     manifest.max_samples = samples.at("max").integer(manifest.min_samples, 1 << 30);

@@ -39,12 +39,14 @@ struct Manifest {
     std::vector<std::string> requires_, uses;
     std::map<std::string, Graph> graphs;
     int kernel_size = 0;
+    bool trust = false; ///< whether networks predict a shift per pixel too, after the kernels' logits
     std::vector<Branch> branches;
     float exposure_key = 0.18f;
     int tile_alignment = 1, tile_overlap = 0;
     int64_t min_samples = 1, max_samples = 1;
 
     const Branch &unsplit_branch() const;
+    int64_t logit_channels() const { return int64_t(kernel_size) * kernel_size + (trust ? 1 : 0); }
     bool reads(const std::string &buffer) const; ///< whether the model requires or can use it
 
     /// Throws invalid-model (unsupported for a newer format), naming the key, what it is, what it must be.

@@ -59,6 +59,7 @@ TEST(Manifest, ComplaintsNameTheKey) {
     expect_wrong(with("/uses", Json::array()), "neither requires nor uses");
     expect_wrong(with("/tile/alignment", 0), "tile.alignment is 0", "1 to 1024");
     expect_wrong(with("/tile/overlap", 1.5), "tile.overlap is 1.5");
+    expect_wrong(with("/reconstruction/trust", 1), "reconstruction.trust is 1");
     expect_wrong(with("/samples_per_pixel/max", 0), "samples_per_pixel.max");
     expect_wrong(with("/exposure/key", 1e9), "exposure.key");
 }

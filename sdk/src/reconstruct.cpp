@@ -16,17 +16,19 @@ namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 using D = hn::ScalableTag<float>;
 
-/// Puts -infinity in the place of logits whose taps are not valid; returns the largest logit.
-template <bool masked>
-hn::Vec<D> LargestLogit(float *logits, const float *valid, size_t stride, int size) {
+/// Adds the taps' shifts to the logits; returns the largest logit. A tap that is not valid has no weight,
+/// whatever its logit.
+template <bool shifted>
+hn::Vec<D> LargestLogit(float *logits, const float *shifts, size_t stride, int size) {
     const D d;
-    const auto zero = hn::Zero(d), never = hn::Set(d, -std::numeric_limits<float>::infinity());
+    const auto never = hn::Set(d, -std::numeric_limits<float>::infinity());
     auto largest = hn::Set(d, std::numeric_limits<float>::lowest());
     for (int dy = 0; dy < size; ++dy)
         for (int dx = 0; dx < size; ++dx, logits += gather_block) {
             auto logit = hn::LoadU(d, logits);
-            if constexpr (masked) {
-                logit = hn::IfThenElse(hn::Gt(hn::LoadU(d, valid + dy * stride + dx), zero), logit, never);
+            if constexpr (shifted) {
+                const auto shift = hn::LoadU(d, shifts + dy * stride + dx);
+                logit = hn::IfThenElse(hn::Eq(shift, never), never, hn::Add(logit, shift));
                 hn::StoreU(logit, d, logits);
             }
             largest = hn::Max(largest, logit);
@@ -87,9 +89,9 @@ void GatherPixels(const Neighbourhood &source, int x, int y, size_t count, float
     const int size = 2 * source.radius() + 1;
     const size_t stride = source.stride(), plane_stride = source.row(1, 0) - source.row(0, 0);
     const size_t result_stride = size_t(source.width()) * source.height();
-    const float *valid = source.valid_row(y - source.radius()) + x;
-    const auto find = source.invalid_taps(x, y, int(count)) == 0 ? LargestLogit<false> : LargestLogit<true>;
-    const auto largest = find(weights, valid, stride, size);
+    const float *shifts = source.shift_row(y - source.radius()) + x;
+    const auto find = source.shifts(x, y, int(count)) ? LargestLogit<true> : LargestLogit<false>;
+    const auto largest = find(weights, shifts, stride, size);
     const auto sum = WeighTaps(weights, size * size, largest);
     using ApplyPlanes = decltype(&Apply<1>);
     constexpr ApplyPlanes choices[] = {Apply<1>, Apply<2>, Apply<3>, Apply<4>};
@@ -129,20 +131,21 @@ namespace pathfold::core {
 
 HWY_EXPORT(GatherRow);
 
-void Neighbourhood::reset(int planes, int height, int width, int radius) {
-    planes_ = planes, height_ = height, width_ = width, radius_ = radius;
+void Neighbourhood::reset(int planes, int height, int width, int radius, bool shifted) {
+    planes_ = planes, height_ = height, width_ = width, radius_ = radius, shifted_ = shifted;
     stride_ = size_t(width) + 2 * size_t(radius);
     values_.assign((size_t(planes) + 1) * rows() * stride_ + gather_slack, 0.0f);
+    std::fill_n(shift_row(-radius), rows() * stride_, -std::numeric_limits<float>::infinity());
 }
 
 void Neighbourhood::finish() {
     const size_t columns = stride_ + 1;
     invalid_.assign((rows() + 1) * columns, 0);
     for (size_t y = 0; y < rows(); ++y) {
-        const float *valid = valid_row(int(y) - radius_);
+        const float *shifts = shift_row(int(y) - radius_);
         int32_t in_row = 0;
         for (size_t x = 0; x < stride_; ++x) {
-            in_row += valid[x] == 0.0f;
+            in_row += shifts[x] == -std::numeric_limits<float>::infinity();
             invalid_[(y + 1) * columns + x + 1] = invalid_[y * columns + x + 1] + in_row;
         }
     }

@@ -85,6 +85,7 @@ def write_model(
     size: int,
     requires: list[str],
     uses: list[str],
+    trust: bool = False,
 ) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     entries = {}
@@ -95,7 +96,7 @@ def write_model(
             "file": f"{name}.onnx",
             "sha256": hashlib.sha256(data).hexdigest(),
             "inputs": {key: BUFFERS[key] for key in inputs},
-            "outputs": {"logits": [1, size * size, "H", "W"]},
+            "outputs": {"logits": [1, size * size + trust, "H", "W"]},
         }
     manifest = {
         "format": 1,
@@ -105,7 +106,7 @@ def write_model(
         "requires": requires,
         "uses": uses,
         "graphs": entries,
-        "reconstruction": {"operator": "gather", "size": size, "branches": branches},
+        "reconstruction": {"operator": "gather", "size": size, "trust": trust, "branches": branches},
         "exposure": {"rule": "log-average", "key": 0.18},
         "tile": {"alignment": 4, "overlap": 4},
         "samples_per_pixel": {"min": 1, "max": 64},
@@ -115,12 +116,12 @@ def write_model(
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=2))
 
 
-def make_single(folder: Path, size: int, spread: float = 1.0) -> None:
+def make_single(folder: Path, size: int, spread: float = 1.0, trust: bool = False) -> None:
     """One branch that reads color alone."""
     inputs = ["radiance", "exposure"]
     branch = {"name": "color", "graph": "color", "radiance": "color", "unsplit": True}
-    graphs = {"color": (make_graph(inputs, size * size, seed=size, spread=spread), inputs)}
-    write_model(folder, graphs, [branch], size, ["color"], [])
+    graphs = {"color": (make_graph(inputs, size * size + trust, seed=size, spread=spread), inputs)}
+    write_model(folder, graphs, [branch], size, ["color"], [], trust)
 
 
 def make_split(folder: Path, size: int, samples: bool) -> None:
@@ -182,6 +183,7 @@ def main(root: Path) -> None:
     make_hostile(root / "hostile")
     make_single(root / "single-3", 3)
     make_single(root / "single-21", 21)
+    make_single(root / "trust-5", 5, spread=3.0, trust=True)
     make_single(root / "steep-5", 5, spread=1e5)
     make_single(root / "broken-3", 3, spread=np.inf)  # all logits are NaN
     make_split(root / "split-5", 5, samples=False)

@@ -9,9 +9,14 @@
 
 namespace pathfold::core {
 
-/// Softmax over the taps inside the image whose values are finite; logits [tap][y][x].
+/// Softmax over the taps inside the image whose values are finite; logits [tap][y][x], and where there is one
+/// more plane, what each pixel adds to the logits of the taps that fall on it.
 inline Pixels naive_gather(const Pixels &image, const std::vector<float> &logits, int size) {
     const int radius = size / 2, height = image.height, width = image.width;
+    const size_t pixels = size_t(height) * width, kernels = pixels * size * size;
+    const auto shift = [&](int y, int x) {
+        return logits.size() > kernels ? double(logits[kernels + size_t(y) * width + x]) : 0.0;
+    };
     Pixels result(height, width, image.channels);
     const auto finite = [&](int y, int x) {
         for (int c = 0; c < image.channels; ++c)
@@ -25,7 +30,7 @@ inline Pixels naive_gather(const Pixels &image, const std::vector<float> &logits
             for (int t = 0; t < size * size; ++t) {
                 const int v = y + t / size - radius, u = x + t % size - radius;
                 if (v >= 0 && v < height && u >= 0 && u < width && finite(v, u))
-                    taps.push_back({logits[(size_t(t) * height + y) * width + x], {v, u}});
+                    taps.push_back({logits[(size_t(t) * height + y) * width + x] + shift(v, u), {v, u}});
             }
             if (taps.empty())
                 continue;

@@ -47,7 +47,7 @@ def fit(
     seed: int = 0,
     threads: Annotated[int, typer.Option(help="CPU threads; 0 lets torch choose")] = 0,
     steps: Annotated[int | None, typer.Option(help="instead of the preset's")] = None,
-    start_from: Annotated[Path | None, typer.Option(help="checkpoint whose weights begin the run")] = None,
+    start_from: Annotated[Path | None, typer.Option(help="checkpoint or model folder to begin with")] = None,
 ) -> None:
     """Train a preset (Algorithm 1)."""
     from .config import load_preset

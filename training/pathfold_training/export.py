@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 from pathlib import Path
@@ -40,7 +41,19 @@ class Graph(nn.Module):
         self.branch = branch
 
     def forward(self, *tensors: Tensor) -> Tensor:
-        return self.branch(dict(zip(self.branch.input_names(), tensors, strict=True)))[0]
+        return self.branch(dict(zip(self.branch.input_names(), tensors, strict=True))).logits
+
+
+def with_trust_as_last_logit(branch: Branch) -> Branch:
+    """A copy whose last layer predicts kernels and trust at once: joining two outputs would copy 441 channels."""
+    if branch.trust is None:
+        return branch
+    joined = copy.deepcopy(branch)
+    for name in ("weight", "bias"):
+        both = torch.cat([getattr(branch.kernels, name), getattr(branch.trust, name)])
+        setattr(joined.kernels, name, nn.Parameter(both, requires_grad=False))
+    joined.trust = None
+    return joined
 
 
 class Standalone(Graph):
@@ -52,15 +65,17 @@ class Standalone(Graph):
 
     def forward(self, *tensors: Tensor) -> Tensor:
         inputs = dict(zip(self.branch.input_names(), tensors, strict=True))
-        logits, radiance = self.branch(inputs)[0], inputs["radiance"]
+        predicted, radiance = self.branch(inputs), inputs["radiance"]
         factor = (
             inputs["diffuse.albedo"] + DEMODULATION_EPSILON if self.branch.demodulate else torch.ones_like(radiance)
         )
         # one exponential and one division; onnxruntime's Softmax over channels is six times as slow
-        weights = torch.exp(logits - logits.amax(1, keepdim=True))
-        radius, height, width = self.size // 2, radiance.shape[2], radiance.shape[3]
+        weights = torch.exp(predicted.logits - predicted.logits.amax(1, keepdim=True))
+        height, width = radiance.shape[2], radiance.shape[3]
         source = torch.cat([radiance / factor, torch.ones_like(radiance[:, :1])], 1)
-        source = functional.pad(source, (radius, radius, radius, radius))
+        if predicted.trust is not None:  # clamped so that its exponential neither overflows nor vanishes
+            source = source * torch.exp(torch.clamp(predicted.trust, -30.0, 30.0))
+        source = functional.pad(source, [self.size // 2] * 4)
         total = torch.zeros_like(source[:, :, :height, :width])
         for tap in range(self.size**2):
             dy, dx = divmod(tap, self.size)
@@ -106,7 +121,7 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) 
     out.mkdir(parents=True, exist_ok=True)
     for name in BRANCHES:
         branch = task.model.branch(name)
-        write_graph(Graph(branch), out / f"{name}.onnx", "logits")
+        write_graph(Graph(with_trust_as_last_logit(branch)), out / f"{name}.onnx", "logits")
         if standalone:
             size = task.config.network.kernel_size
             write_graph(Standalone(branch, size), out / f"{name}-standalone.onnx", "filtered")
@@ -118,14 +133,15 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) 
 
 def describe(task: Denoising, state: dict, out: Path, record: dict) -> dict:
     """The manifest (DESIGN: contract 4.5)."""
-    network, taps = task.config.network, task.config.network.kernel_size**2
+    network = task.config.network
+    channels = network.kernel_size**2 + network.trust
     graphs = {}
     for name in BRANCHES:
         graphs[name] = {
             "file": f"{name}.onnx",
             "sha256": hashlib.sha256((out / f"{name}.onnx").read_bytes()).hexdigest(),
             "inputs": {n: input_shape(n) for n in task.model.branch(name).input_names()},
-            "outputs": {"logits": [1, taps, "H", "W"]},
+            "outputs": {"logits": [1, channels, "H", "W"]},
         }
     paths = ["samples.descriptor", "samples.density"] if network.embedding else []
     uses = ["diffuse", "specular", "diffuse.albedo", "diffuse.variance", "specular.variance"]
@@ -142,6 +158,7 @@ def describe(task: Denoising, state: dict, out: Path, record: dict) -> dict:
         "reconstruction": {
             "operator": "gather",
             "size": network.kernel_size,
+            "trust": network.trust,
             "branches": [
                 {"name": "diffuse", "graph": "diffuse", "radiance": "diffuse", "demodulate": demodulate},
                 {"name": "specular", "graph": "specular", "radiance": "specular", "unsplit": True},

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 import subprocess
 import time
 from pathlib import Path
 
 import lightning
+import onnx
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar, TQDMProgressBar
 from lightning.pytorch.loggers import CSVLogger
+from onnx import numpy_helper
 from rich.console import Console
+from torch.nn.utils import parametrize
 from torch.utils.data import DataLoader
 
 from .config import Config
@@ -52,9 +56,9 @@ def fit(
 ) -> Path:
     """Train and return the last checkpoint, out/last.ckpt; resumes from it when it is there.
 
-    `threads` 0 leaves torch's choice. `start_from` is a checkpoint whose weights begin the run, kpcn-vanilla's for the
-    path variants, say (the authors tune R alone first, then attach F). Raises ValueError if `data` holds no data set
-    or `out` belongs to another preset.
+    `threads` 0 leaves torch's choice. `start_from` is a checkpoint or an exported model folder whose weights begin the
+    run: kpcn-vanilla's for the path variants, say (the authors tune R alone first, then attach F), or a shipped model's
+    to go on with it on other data. Raises ValueError if `data` holds no data set or `out` belongs to another preset.
     """
     if threads:
         torch.set_num_threads(threads)
@@ -69,7 +73,7 @@ def fit(
         max_steps=options.steps,
         accelerator="auto",
         devices=1,
-        precision="bf16-mixed" if options.precision == "bf16" else "32-true",
+        precision="bf16-mixed" if uses_bf16(options.precision) else "32-true",
         gradient_clip_val=options.clip,
         val_check_interval=validate_every,
         check_val_every_n_epoch=None,
@@ -98,16 +102,63 @@ def fit(
     return last
 
 
-def warm_start(task: Denoising, checkpoint: Path) -> None:
-    """Copy the weights that both have; input channels that only the new network has start at zero."""
-    own = task.state_dict()
-    for name, value in torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"].items():
-        if name not in own or own[name].shape[:1] + own[name].shape[2:] != value.shape[:1] + value.shape[2:]:
-            raise ValueError(f"{checkpoint}: its weight {name} does not fit preset '{task.config.name}'")
+def uses_bf16(precision: str) -> bool:
+    return precision == "bf16" or (precision == "auto" and torch.cuda.is_available())
+
+
+def warm_start(task: Denoising, source: Path) -> None:
+    """Copy the weights of a checkpoint or model folder; input channels that only the new network has start at zero."""
+    merged = {name: value.clone() for name, value in plain_weights(task).items()}
+    for name, value in folder_weights(source).items() if source.is_dir() else checkpoint_weights(source).items():
+        name = re.sub(r"^(model\.branches\.\w+)\.head\.", r"\1.kernels.", name)  # as the first models have it
+        new = merged.get(name)
+        if new is None or new.shape[:1] + new.shape[2:] != value.shape[:1] + value.shape[2:]:
+            raise ValueError(f"{source}: its weight {name} does not fit preset '{task.config.name}'")
         if value.dim() > 1:
-            own[name].zero_()
-        own[name][tuple(slice(n) for n in value.shape)] = value
-    task.load_state_dict(own)
+            new.zero_()
+        new[tuple(slice(n) for n in value.shape)] = value
+    for name, value in merged.items():
+        owner, _, attribute = name.rpartition(".")
+        module = task.get_submodule(owner)
+        with torch.no_grad():
+            if parametrize.is_parametrized(module, attribute):
+                setattr(module, attribute, value)  # weight norm finds its two factors
+            else:
+                getattr(module, attribute).copy_(value)
+
+
+def plain_weights(task: Denoising) -> dict[str, torch.Tensor]:
+    """All weights by name, weight norm multiplied out: what an exported graph holds too."""
+    weights: dict[str, torch.Tensor] = {}
+    for owner, module in task.named_modules():
+        names = [name for name, _ in module.named_parameters(recurse=False)]
+        names += list(module.parametrizations) if parametrize.is_parametrized(module) else []
+        if not owner.endswith(".parametrizations.weight"):
+            weights |= {f"{owner}.{name}": getattr(module, name).detach() for name in names}
+    return weights
+
+
+def checkpoint_weights(checkpoint: Path) -> dict[str, torch.Tensor]:
+    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    task = Denoising(Config.model_validate(state["hyper_parameters"]["config"]))
+    task.load_state_dict(state["state_dict"])
+    return plain_weights(task)
+
+
+def folder_weights(folder: Path) -> dict[str, torch.Tensor]:
+    """The weights in a model folder's graphs: their initialisers keep the modules' names."""
+    weights = {}
+    manifest = json.loads((folder / "manifest.json").read_text())
+    for graph in manifest["graphs"]:
+        for tensor in onnx.load(folder / f"{graph}.onnx").graph.initializer:
+            if tensor.name.startswith("branch."):
+                name = tensor.name.replace("branch.", f"model.branches.{graph}.", 1)
+                weights[name] = torch.from_numpy(numpy_helper.to_array(tensor).copy())
+    if manifest["reconstruction"].get("trust"):  # export made it the last row of the kernels' layer
+        for name in [name for name in weights if ".kernels." in name]:
+            weights[name.replace(".kernels.", ".trust.")] = weights[name][-1:]
+            weights[name] = weights[name][:-1]
+    return weights
 
 
 def completed_steps(checkpoint: Path, config: Config) -> int:
@@ -142,11 +193,17 @@ def write_record(out: Path, config: Config, data: Path, seed: int, start_from: P
     (out / "record.json").write_text(json.dumps(record, indent=2) + "\n")
 
 
-def start_record(checkpoint: Path | None) -> dict | None:
-    """Name, steps and seconds of the run whose weights this one began with."""
-    if checkpoint is None:
+def start_record(source: Path | None) -> dict | None:
+    """Name, steps and seconds of the run whose weights this one began with, all its own beginnings included."""
+    if source is None:
         return None
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    if source.is_dir():
+        manifest = json.loads((source / "manifest.json").read_text())
+        training = manifest["training"]
+        parts = [training, training["started_from"] or {}]
+        total = {key: sum(part.get(key, 0) for part in parts) for key in ("steps", "seconds", "cpu_seconds")}
+        return {"preset": manifest["name"], "commit": training["commit"], **total}
+    state = torch.load(source, map_location="cpu", weights_only=True)
     return {
         "preset": state["hyper_parameters"]["config"]["name"],
         "steps": state["global_step"],

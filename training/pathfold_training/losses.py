@@ -12,13 +12,15 @@ LOGIT_LIMIT = 10.0
 
 
 def error_scale(reference: Tensor) -> Tensor:
-    """The radiance that errors are measured against: sqrt(r^2 + eps) of the exposed reference, B x 3 x H x W, smoothed.
+    """The radiance that errors are measured against: sqrt(r^2 + eps) of the exposed reference, B x 3 x H x W.
 
-    Dividing by the pixel's own noisy reference would punish just the pixels it underestimates (bias table in the
-    design); a 5x5 mean decorrelates the two.
+    r is the median of 3x3 pixels. Dividing by the pixel's own noisy reference would punish just the pixels it
+    underestimates (bias table in the design); dividing by a mean would excuse light that leaks from an emitter
+    into the dark pixels beside it, which makes most of RelL2.
     """
-    smooth = functional.avg_pool2d(reference, 5, stride=1, padding=2, count_include_pad=False)
-    return torch.sqrt(smooth.square() + RELATIVE_EPSILON)
+    padded = functional.pad(reference, (1, 1, 1, 1), mode="replicate")
+    median = padded.unfold(2, 3, 1).unfold(3, 3, 1).flatten(4).median(-1).values
+    return torch.sqrt(median.square() + RELATIVE_EPSILON)
 
 
 def robust_relative(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
@@ -32,8 +34,12 @@ def robust_relative(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
 
 
 def logit_excess(logits: Tensor) -> Tensor:
-    """Mean squared excess of |logit| over 10: keeps softmax kernels from saturating, where no gradient leads back."""
-    return torch.relu(logits.abs() - LOGIT_LIMIT).square().mean()
+    """Mean over pixels of the summed squared excess of |logit| over 10, logits B x K*K x h x w.
+
+    Keeps softmax kernels from saturating, where no gradient leads back. Summed over the taps: a kernel collapses to
+    the identity by one logit alone, which a mean over 441 taps would hardly see.
+    """
+    return torch.relu(logits.abs() - LOGIT_LIMIT).square().sum(1).mean()
 
 
 def tone_map(radiance: Tensor) -> Tensor:

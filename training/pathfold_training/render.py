@@ -26,7 +26,7 @@ LIBRARY_DEPTH = (
 STUCK = 1200  # seconds after which a view's process is given up
 ROUND = 32  # reference samples per pixel and half between two looks at clock and error
 GOOD, POOR = 2e-4, 1e-2  # reference RelL2 at which rendering stops early, or may take HARD times the budget
-HARD = 5
+HARD = 2
 WORTHLESS = 0.25  # a reference noisier than this after all that teaches nothing
 
 log = logging.getLogger("pathfold.render")

@@ -79,16 +79,20 @@ class Denoising(lightning.LightningModule):
             )
         for name, branch in self.model.branches.items():
             target = branch_target(batch.inputs, batch.reference, name)
-            logits, paths = branch(branch_inputs(batch.inputs, name), batch.counts, lattice, offset)
+            predicted = branch(branch_inputs(batch.inputs, name), batch.counts, lattice, offset)
             with torch.autocast(self.device.type, enabled=False):
-                filtered = gather(logits.float(), target.radiance, self.config.network.kernel_size, lattice, offset)
+                logits = predicted.logits.float()
+                trust = None if predicted.trust is None else predicted.trust.float()
+                filtered = gather(logits, target.radiance, self.config.network.kernel_size, lattice, offset, trust)
                 filtered = filtered * on_lattice(target.remodulate, lattice, offset)
-                excess.append(logit_excess(logits.float()))
+                excess.append(logit_excess(logits) if trust is None else logit_excess(logits) + logit_excess(trust))
                 terms.append(robust_relative(filtered, on_lattice(target.reference, lattice, offset), scale))
                 image = image + filtered
-                if paths is not None and self.config.loss.manifold > 0.0:
+                if predicted.paths is not None and self.config.loss.manifold > 0.0:
                     pairs = self.config.loss.manifold_pairs
-                    manifold.append(manifold_loss(paths, tone_map(target.label), batch.counts, pairs, self.generator))
+                    manifold.append(
+                        manifold_loss(predicted.paths, tone_map(target.label), batch.counts, pairs, self.generator)
+                    )
         error = robust_relative(image, on_lattice(reference, lattice, offset), scale)
         loss = error + self.config.loss.branch * sum(terms) + self.config.loss.logits * sum(excess)
         if manifold:
@@ -111,8 +115,9 @@ class Denoising(lightning.LightningModule):
         exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
         for name, branch in self.model.branches.items():
             target = branch_target(batch.inputs, batch.reference, name)
-            logits, _ = branch(branch_inputs(batch.inputs, name), batch.counts)
-            filtered = gather(logits.float(), target.radiance, self.config.network.kernel_size)
+            predicted = branch(branch_inputs(batch.inputs, name), batch.counts)
+            size = self.config.network.kernel_size
+            filtered = gather(predicted.logits.float(), target.radiance, size, trust=predicted.trust)
             image = image + filtered * target.remodulate
         return image / exposure
 

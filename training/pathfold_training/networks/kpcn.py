@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -16,12 +17,21 @@ BRANCHES = ("diffuse", "specular")
 SAMPLE_INPUTS = ("samples.descriptor", "samples.density", "samples.valid")
 
 
+class Prediction(NamedTuple):
+    """What a branch predicts."""
+
+    logits: Tensor  # B x K*K x h x w
+    trust: Tensor | None  # B x 1 x H x W, added to the logit of every tap that falls on the pixel
+    paths: Tensor | None  # F's output N x C x H x W, for the manifold loss
+
+
 class Branch(nn.Module):
     """R (and F) of one branch. `demodulate` is set for the diffuse one."""
 
     def __init__(self, network: Network, demodulate: bool) -> None:
         super().__init__()
         self.demodulate = demodulate
+        self.pointwise = network.last_kernel == 1
         self.paths = PathEmbedding(network.embedding, network.embedding_width) if network.embedding else None
         extra = 1 + network.embedding + 1 if network.embedding else 0  # log q, the embedding's mean and variance
         widths = [BRANCH_CHANNELS + extra] + [network.width] * (network.layers - 1)
@@ -29,12 +39,22 @@ class Branch(nn.Module):
         for inputs, outputs in pairwise(widths):
             layers += [nn.Conv2d(inputs, outputs, 5, padding=2), nn.ReLU()]
         self.trunk = nn.Sequential(*layers)
-        last = network.last_kernel
-        self.head = nn.Conv2d(network.width, network.kernel_size**2, last, padding=last // 2)
-        for layer in self.trunk:
+        # a kernel of K*K taps from `width` numbers by one linear layer is of rank `width`: a wider 1x1 layer between
+        wide = nn.Conv2d(network.width, network.head, 1) if network.head else None
+        self.wide = nn.Identity() if wide is None else nn.Sequential(wide, nn.ReLU())
+        channels, last = network.head or network.width, network.last_kernel
+        self.kernels = nn.Conv2d(channels, network.kernel_size**2, last, padding=last // 2)
+        # shuts out a light or a firefly by one number of its own, not by one logit in each of 441 kernels around it
+        self.trust = nn.Conv2d(channels, 1, last, padding=last // 2) if network.trust else None
+        for layer in [*self.trunk, wide]:
             if isinstance(layer, nn.Conv2d):  # torch's default halves the signal with every layer
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
                 layer.bias.data.zero_()  # type: ignore[union-attr]
+        if wide is not None:  # starts as the identity and some: weights of a network without this layer fit
+            wide.weight.data[: network.width] = torch.eye(network.width)[: network.head, :, None, None]
+        if self.trust is not None:
+            nn.init.zeros_(self.trust.weight)
+            nn.init.zeros_(self.trust.bias)  # type: ignore[arg-type]
 
     def input_names(self) -> list[str]:
         """Graph inputs in order; B = 1 when exported."""
@@ -60,13 +80,14 @@ class Branch(nn.Module):
         counts: list[int] | None = None,
         lattice: int = 1,
         offset: tuple[int, int] = (0, 0),
-    ) -> tuple[Tensor, Tensor | None]:
-        """Logits B x K*K x h x w on the lattice (all pixels by default) and the embeddings for the manifold loss."""
+    ) -> Prediction:
+        """Logits are on the lattice (all pixels by default), trust is everywhere."""
         x, paths = self.features(inputs, counts)
-        hidden = self.trunk(x.contiguous(memory_format=torch.channels_last))
-        if lattice > 1 and self.head.kernel_size[0] == 1:  # a 1x1 head needs no neighbours
-            return self.head(hidden[:, :, offset[0] :: lattice, offset[1] :: lattice]), paths
-        return self.head(hidden)[:, :, offset[0] :: lattice, offset[1] :: lattice], paths
+        hidden = self.wide(self.trunk(x.contiguous(memory_format=torch.channels_last)))
+        trust = None if self.trust is None else self.trust(hidden)
+        if lattice > 1 and self.pointwise:  # a 1x1 layer needs no neighbours
+            return Prediction(self.kernels(hidden[:, :, offset[0] :: lattice, offset[1] :: lattice]), trust, paths)
+        return Prediction(self.kernels(hidden)[:, :, offset[0] :: lattice, offset[1] :: lattice], trust, paths)
 
 
 def path_features(inputs: dict[str, Tensor], counts: list[int] | None = None) -> Tensor:
