@@ -1,6 +1,7 @@
 """Denoising picture files: frames and layers of an EXR through a `Denoiser`, all else kept."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,16 @@ _SIBLINGS = {"albedo": "alb", "normal": "nrm"}
 
 Image = NDArray[np.float32]
 Buffers = dict[str, NDArray[Any]]
+Extra = list[tuple[Layer, list[int]]]  # layers to filter alike, with their channel numbers
+
+
+@dataclass(frozen=True)
+class Denoised:
+    """One frame of a file after its run; `layers` are those that were filtered alike, by name."""
+
+    frame: Frame
+    result: Result
+    layers: tuple[str, ...] = ()
 
 
 def denoise_file(
@@ -32,7 +43,7 @@ def denoise_file(
     exposures: Sequence[float] = (),
     keep_samples: bool = False,
     progress: Callable[[float], None] | None = None,
-) -> list[tuple[Frame, Result]]:
+) -> list[Denoised]:
     """Denoise every frame of a file and write it again; all else is kept, but for the noisy samples.
 
     `mapping` names layers for buffers, `layers` are patterns of further radiance layers to filter alike,
@@ -40,25 +51,24 @@ def denoise_file(
     Raises ImageError, OutputError or PathfoldError; the target appears whole or not at all.
     """
     file = open_linear(source)
-    done: list[tuple[Frame, Result]] = []
+    frames = channels.match(file, mapping)
+    done: list[Denoised] = []
     changed: dict[tuple[int, int], Image] = {}
-    for number, frame in enumerate(channels.match(file, mapping)):
-        buffers = read(file, frame, denoiser.model.requires, denoiser.model.uses, guides or siblings(source))
-        extra = _extra(file, frame, layers)
+    for number, (frame, extra) in enumerate(zip(frames, _extra(file, frames, layers), strict=True)):
         result = denoiser.run_buffers(
-            buffers,
-            layers={layer.name: {"color": file.read(layer.part, at)} for layer, at in extra},
+            read(file, frame, denoiser.model.requires, denoiser.model.uses, guides or siblings(source)),
+            layers={_key(layer): {"color": file.read(layer.part, at)} for layer, at in extra},
             exposure=exposures[min(number, len(exposures) - 1)] if exposures else None,
             progress=progress,
         )
         changed |= _changes(frame, result)
         for layer, at in extra:
-            changed |= _places(layer.part, at, result.layers[layer.name])
-        done.append((frame, result))
+            changed |= _places(layer.part, at, result.layers[_key(layer)])
+        done.append(Denoised(frame, result, tuple(layer.name or "R,G,B" for layer, _ in extra)))
     part = samples.find(file)
     notes = {
         "pathfold:model": denoiser.model.name,
-        "pathfold:exposure": f"{done[0][1].report['exposure']:.7g}",
+        "pathfold:exposure": f"{done[0].result.report['exposure']:.7g}",
     }
     leave_out = [part] if part and not keep_samples else []
     file.save_as(target, changed, leave_out=leave_out, metadata=notes)
@@ -122,16 +132,52 @@ def _guide(path: Path, name: str, frame: Frame) -> Image:
     return file.read(layer.part, at)
 
 
-def _extra(file: ImageFile, frame: Frame, patterns: Sequence[str]) -> list[tuple[Layer, list[int]]]:
-    """The further radiance layers that shall be filtered alike, with their channel numbers."""
-    found: list[tuple[Layer, list[int]]] = []
+def _extra(file: ImageFile, frames: Sequence[Frame], patterns: Sequence[str]) -> list[Extra]:
+    """The further radiance layers to filter alike, for each frame those of its own view and view layer.
+
+    Raises ImageError for a pattern that finds nothing to filter, and says why.
+    """
+    found: list[Extra] = [[] for _ in frames]
     for pattern in patterns:
         layers = [layer for layer in file.layers if any(fnmatchcase(name, pattern) for name in layer.names)]
         if not layers:
             raise ImageError(f"{file.path}: --layer {pattern}: no such layer; it has {channels.describe(file)}")
-        fitting = ((layer, layer.pick(3)) for layer in layers if layer.size == frame.size)
-        found += [(layer, at) for layer, at in fitting if at and layer != frame.color_layer]
+        refused = []
+        for layer in layers:
+            owner = _owner(frames, layer)
+            at = layer.pick(3) or layer.pick(1)
+            if owner is None:
+                refused.append(f"{layer.name} belongs to none of the file's pictures")
+            elif layer == frames[owner].color_layer:
+                refused.append(f"{layer.name or 'R,G,B'} is the picture itself")
+            elif layer.size != frames[owner].size:
+                sizes = ("{}x{}".format(*size) for size in (layer.size, frames[owner].size))
+                refused.append("{} is {}, the picture is {}".format(layer.name, *sizes))
+            elif layer.part == samples.find(file) or not at:
+                refused.append(f"{layer.name} has {', '.join(layer.channels)}; R, G, B or one channel can be filtered")
+            elif (layer, at) not in found[owner]:
+                found[owner].append((layer, at))
+        if len(refused) == len(layers):
+            raise ImageError(f"{file.path}: --layer {pattern}: nothing to filter: {'; '.join(refused[:3])}")
     return found
+
+
+def _owner(frames: Sequence[Frame], layer: Layer) -> int | None:
+    """The number of the frame that a layer is a part of: that of its view and its view layer."""
+
+    def fits(frame: Frame) -> bool:
+        if len(frames) == 1:
+            return layer.view in ("", frame.color_layer.view)
+        within = not frame.view_layer or layer.name.casefold().startswith(f"{frame.view_layer}.".casefold())
+        return layer.view == frame.color_layer.view and within
+
+    fitting = [number for number, frame in enumerate(frames) if fits(frame)]
+    return max(fitting, key=lambda number: len(frames[number].view_layer), default=None)
+
+
+def _key(layer: Layer) -> str:
+    """Names a layer in a run: two parts may hold layers of one name."""
+    return f"{layer.part}:{layer.name}"
 
 
 def _changes(frame: Frame, result: Result) -> dict[tuple[int, int], Image]:

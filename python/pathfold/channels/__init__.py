@@ -92,6 +92,7 @@ class Frame:
     preset: Preset
     sources: Mapping[str, Source]
     color_layer: Layer  # where the result goes
+    view_layer: str = ""  # what the star of the preset's patterns stands for
 
     @property
     def size(self) -> tuple[int, int]:
@@ -192,7 +193,7 @@ def _frame(file: ImageFile, preset: Preset, overrides: Mapping[str, str], color:
                 sources.setdefault(name, _check(file, name, source, color))
                 break
     target = _lookup(file, preset.output["color"], star, color.view) if "color" in preset.output else None
-    return Frame(preset, _complete_split(sources), target or color)
+    return Frame(preset, _complete_split(sources), target or color, star)
 
 
 def _complete_split(sources: dict[str, Source]) -> dict[str, Source]:

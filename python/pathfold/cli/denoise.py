@@ -66,13 +66,14 @@ def denoise(
                 keep_samples=keep_samples,
                 progress=bar,
             )
-        exposures = exposures or [result.report["exposure"] for _, result in done]
+        exposures = exposures or [one.result.report["exposure"] for one in done]
         if not quiet:
-            for frame, result in done:
-                for line in (
-                    *(frame_lines(noisy, frame) if number == 0 else ()),
-                    *result_lines(result.report),
-                ):
+            for one in done:
+                for line in frame_lines(noisy, one.frame) if number == 0 else ():
+                    console.say(line)
+                if one.layers:
+                    console.say(f"  filtered alike: {', '.join(one.layers)}")
+                for line in result_lines(one.result.report):
                     console.say(line)
             console.say(f"{clean}")
 
