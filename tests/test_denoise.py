@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +172,22 @@ def test_progress_grows_and_cancels(tiny: Path) -> None:
         denoiser.run(picture(), progress=lambda done: done < 0.3)
     assert caught.value.code == "cancelled"
     assert denoiser.run(picture()).color.shape == (H, W, 3)
+
+
+@pytest.mark.parametrize("handled", [True, False])
+def test_a_run_within_its_own_run_is_refused(tiny: Path, handled: bool) -> None:
+    denoiser = pathfold.Denoiser("single-3")
+
+    def again(_: float) -> None:
+        with pytest.raises(pathfold.PathfoldError, match="another Denoiser") if handled else nullcontext():
+            denoiser.run(picture())
+
+    outcome: Any = (
+        nullcontext() if handled else pytest.raises(pathfold.PathfoldError, match="progress callback asks it")
+    )
+    with outcome:
+        denoiser.run(picture(), progress=again)
+    assert denoiser.run(picture()).color.shape == (H, W, 3)  # usable afterwards
 
 
 @pytest.mark.parametrize(

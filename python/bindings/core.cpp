@@ -1,10 +1,12 @@
 // pathfold._core: NumPy arrays in, NumPy arrays out, the GIL released in between. No logic of its own.
+#include <atomic>
 #include <exception>
 #include <functional>
 #include <map>
 #include <mutex>
 #include <optional>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <pybind11/numpy.h>
@@ -76,11 +78,7 @@ public:
                   const std::optional<double> &exposure, const py::object &progress) {
         if (exposure && !(*exposure > 0))
             invalid("exposure is " + std::to_string(*exposure) + "; it must be > 0, or None");
-        std::unique_lock<std::mutex> turn(turn_, std::defer_lock);
-        {
-            py::gil_scoped_release release;
-            turn.lock();
-        }
+        const Turn turn(*this);
         denoiser_.clear();
         denoiser_.set("exposure", exposure.value_or(0));
         std::vector<py::array> kept; // memory must live until the run is over
@@ -100,6 +98,24 @@ public:
     }
 
 private:
+    /// One thread's turn at the denoiser; a run from within its own progress callback would wait for itself.
+    class Turn {
+    public:
+        explicit Turn(Denoiser &denoiser) : denoiser_(denoiser), lock_(denoiser.turn_, std::defer_lock) {
+            if (denoiser.owner_ == std::this_thread::get_id())
+                invalid("this denoiser is running, and its progress callback asks it to run again; use "
+                        "another Denoiser there");
+            py::gil_scoped_release release;
+            lock_.lock();
+            denoiser.owner_ = std::this_thread::get_id();
+        }
+        ~Turn() { denoiser_.owner_ = std::thread::id(); }
+
+    private:
+        Denoiser &denoiser_;
+        std::unique_lock<std::mutex> lock_;
+    };
+
     template <typename Keep>
     void set_layer(const std::string &layer, const Arrays &parts, const Keep &keep, py::dict &result) {
         pathfold_image view{};
@@ -147,6 +163,7 @@ private:
 
     pathfold::Denoiser denoiser_;
     std::mutex turn_;
+    std::atomic<std::thread::id> owner_; // whose turn it is
 };
 
 float auto_exposure(const py::array &color) {
