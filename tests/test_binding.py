@@ -61,16 +61,24 @@ def gather(image: np.ndarray, logits: np.ndarray) -> np.ndarray:
 
 
 def log_average_exposure(color: np.ndarray) -> float:
-    rows, columns = -(-H // 16), -(-W // 16)
+    """The rule of sdk/src/prepare.h; color [H,W,3], finite."""
+    height, width = color.shape[:2]
+    rows, columns = -(-height // 16), -(-width // 16)
     luminance = color.astype(np.float64) @ [0.212671, 0.715160, 0.072169]
-    bins = np.array(
-        [
-            luminance[j * H // rows : (j + 1) * H // rows, i * W // columns : (i + 1) * W // columns].mean()
-            for j in range(rows)
-            for i in range(columns)
-        ]
-    )
-    return float(0.18 / np.exp(np.log(bins[bins > 1e-8 * bins.max()]).mean()))
+    bins = [
+        np.sort(
+            luminance[j * height // rows : (j + 1) * height // rows, i * width // columns : (i + 1) * width // columns],
+            None,
+        )
+        for j in range(rows)
+        for i in range(columns)
+    ]
+    means = np.array([pixels.mean() for pixels in bins])
+    kept = (pixels[: pixels.size - -(-pixels.size // 64)] for pixels in bins)  # without the brightest 64th
+    levels = sorted(pixels.mean() for pixels in kept if pixels.any())
+    bright = levels[-1 - len(levels) // 64] if levels else means.max()
+    counted = np.minimum(means[means > 1e-8 * bright], 16 * bright)
+    return float(0.18 / np.exp(np.log(counted).mean())) if counted.size else 1.0
 
 
 def denoise_in_numpy(folder: Path, buffers: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -129,9 +137,13 @@ def test_gather_equals_numpy(size: int) -> None:
     np.testing.assert_allclose(_core.gather(image, logits), np.nan_to_num(gather(image, logits)), rtol=1e-5, atol=1e-6)
 
 
-def test_auto_exposure() -> None:
+@pytest.mark.parametrize("outlier", [1.0, 1e4, 1e12, 1e30])
+def test_auto_exposure(outlier: float) -> None:
     color = make_buffers()["color"]
+    color[7, 7] = outlier
     assert _core.auto_exposure(color) == pytest.approx(log_average_exposure(color), rel=1e-5)
+    small = color[5:9, 5:9]
+    assert _core.auto_exposure(small) == pytest.approx(log_average_exposure(small), rel=1e-5)
 
 
 def test_any_strides_without_a_copy(models: Path) -> None:

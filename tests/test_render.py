@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pathfold
 import pytest
 
 pytest.importorskip("mitsuba")
@@ -74,6 +75,14 @@ def test_half_error_estimates_the_error_of_the_mean() -> None:
     a, b = (truth + 0.02 * rng.normal(size=truth.shape) for _ in range(2))
     actual = np.mean(((a + b) / 2 - truth) ** 2 / (truth**2 + 1e-2))
     assert render.half_error(a, b) == pytest.approx(actual, rel=0.1)
+
+
+def test_exposure_is_the_sdk_s_and_stands_outliers() -> None:
+    image = np.random.default_rng(0).uniform(0.1, 1, (3, 65, 50)).astype(np.float32)
+    calm = render.exposure(image)
+    assert calm == pathfold.auto_exposure(np.moveaxis(image, 0, -1))
+    image[:, 3, 3] = 1e12
+    assert render.exposure(image) == pytest.approx(calm, rel=0.2)
 
 
 def test_exposure_scales_inversely_and_ignores_black() -> None:

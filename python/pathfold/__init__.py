@@ -8,13 +8,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pathfold.denoising import Denoiser, PathfoldError, Result, denoise, version
+    from pathfold.denoising import Denoiser, PathfoldError, Result, auto_exposure, denoise, version
 
 # Nothing is imported before it is used, so that `import pathfold` costs a few milliseconds.
-_HOMES = dict.fromkeys(("Denoiser", "PathfoldError", "Result", "denoise", "version"), "pathfold.denoising")
+_HOMES = dict.fromkeys(
+    ("Denoiser", "PathfoldError", "Result", "auto_exposure", "denoise", "version"), "pathfold.denoising"
+)
 _MODULES = ("channels", "images", "metrics", "models")
 
-__all__ = ["Denoiser", "PathfoldError", "Result", "denoise", "version"]
+__all__ = ["Denoiser", "PathfoldError", "Result", "auto_exposure", "denoise", "version"]
 
 
 def __getattr__(name: str) -> Any:

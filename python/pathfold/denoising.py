@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pathfold import _core, models
 from pathfold._core import PathfoldError, version
 
-__all__ = ["Denoiser", "PathfoldError", "Result", "as_array", "denoise", "version"]
+__all__ = ["Denoiser", "PathfoldError", "Result", "as_array", "auto_exposure", "denoise", "version"]
 
 Array = Any  # whatever has the array interface or DLPack: NumPy, torch on the CPU, Mitsuba, ...
 Progress = Callable[[float], bool | None]
@@ -144,6 +144,14 @@ def denoise(
     """
     denoiser = model if isinstance(model, Denoiser) else _denoiser(models.find(model).resolve())
     return denoiser.run(color, **buffers).color
+
+
+def auto_exposure(color: Array) -> float:
+    """The exposure that a run chooses for a picture, height x width x 3, by the rule of the shipped models.
+
+    Log-average luminance to 0.18, hardly moved by outlying pixels; 1 for a black picture. Raises PathfoldError.
+    """
+    return _core.auto_exposure(as_array("color", color))
 
 
 @lru_cache(maxsize=4)

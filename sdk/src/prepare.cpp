@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include <oneapi/tbb/combinable.h>
 
@@ -11,7 +12,9 @@ namespace pathfold::core {
 namespace {
 
 constexpr int bin_size = 16;
-constexpr double dark_bin = 1e-8; // of the brightest
+constexpr double dark_bin = 1e-8; // of the bright level
+constexpr double bright_bin = 16; // likewise: noise may leave most of a bin's light to few pixels
+constexpr size_t outlying = 64;   // one in so many pixels of a bin, or bins, may be an outlier
 
 /// Largest radiance: 1e30 after exposure, and small enough for a sum of kernel taps in float32.
 float radiance_cap(float exposure) { return float(std::min(1e30 / double(exposure), 1e32)); }
@@ -84,6 +87,38 @@ void cap(Planes &planes, float most, Threads &threads, Counts &counts) {
         }
     });
     counts += total(row_counts);
+}
+
+/// What the exposure wants to know of 16 x 16 pixels: their mean luminance, with and without the brightest
+/// few.
+struct Bin {
+    double mean = 0, robust = 0;
+};
+
+Bin summarise(std::vector<double> &pixels) {
+    if (pixels.empty())
+        return {};
+    const size_t kept = pixels.size() - (pixels.size() + outlying - 1) / outlying;
+    std::nth_element(pixels.begin(), pixels.begin() + kept, pixels.end());
+    const double most = std::accumulate(pixels.begin(), pixels.begin() + kept, 0.0);
+    const double sum = std::accumulate(pixels.begin() + kept, pixels.end(), most);
+    return {sum / double(pixels.size()), kept > 0 ? most / double(kept) : 0};
+}
+
+/// How bright the image is where it is bright, outliers apart.
+double bright_level(const std::vector<Bin> &bins) {
+    std::vector<double> levels;
+    double largest = 0;
+    for (const Bin &bin : bins) {
+        if (bin.robust > 0)
+            levels.push_back(bin.robust);
+        largest = std::max(largest, bin.mean);
+    }
+    if (levels.empty())
+        return largest;
+    const auto at = levels.end() - 1 - std::ptrdiff_t(levels.size() / outlying);
+    std::nth_element(levels.begin(), at, levels.end());
+    return *at;
 }
 
 /// exp(-mean(ln depth)) over finite depths > 0; 1 where there is none.
@@ -226,28 +261,29 @@ float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<
                     Threads &threads) {
     const int width = parts[0]->width(), height = parts[0]->height();
     const int across = (width + bin_size - 1) / bin_size, down = (height + bin_size - 1) / bin_size;
-    std::vector<double> bins(size_t(across) * size_t(down), 0.0);
+    std::vector<Bin> bins(size_t(across) * size_t(down));
     for_rows(threads, down, [&](int j) {
+        std::vector<double> pixels;
         for (int i = 0; i < across; ++i) {
             // Bins of equal size, the way OIDN cuts them, rather than a narrow last one.
-            double sum = 0;
-            int64_t count = 0;
+            pixels.clear();
             for (int y = int(int64_t(j) * height / down); y < int64_t(j + 1) * height / down; ++y)
                 for (int x = int(int64_t(i) * width / across); x < int64_t(i + 1) * width / across; ++x)
                     if (valid[size_t(y) * width + x] != 0) {
+                        double sum = 0;
                         for (const Planes *part : parts)
                             sum += luminance(part->row(0, y)[x], part->row(1, y)[x], part->row(2, y)[x]);
-                        ++count;
+                        pixels.push_back(sum);
                     }
-            bins[size_t(j) * across + i] = count > 0 ? sum / double(count) : 0;
+            bins[size_t(j) * across + i] = summarise(pixels);
         }
     });
-    const double brightest = *std::max_element(bins.begin(), bins.end());
+    const double bright = bright_level(bins);
     double logs = 0;
     int64_t count = 0;
-    for (double bin : bins)
-        if (bin > dark_bin * brightest)
-            logs += std::log2(bin), ++count;
+    for (const Bin &bin : bins)
+        if (bin.mean > dark_bin * bright)
+            logs += std::log2(std::min(bin.mean, bright_bin * bright)), ++count;
     if (count == 0)
         return 1.0f;
     const double exposure = key / std::exp2(logs / double(count));

@@ -46,8 +46,11 @@ struct Prepared {
 /// Reads and sanitises what will be filtered, and takes the frame's statistics. `exposure` 0: from the image.
 Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, Threads &threads);
 
-/// key / log-average luminance over bins of 16 x 16 pixels; bins darker than 1e-8 of the brightest and pixels
-/// that are not valid do not count. 1 for a black image. The color is the sum of `parts`, 3 planes each.
+/// key / log-average luminance over bins of 16 x 16 pixels; pixels that are not valid do not count. The
+/// bright level is the largest mean of a bin without the brightest 64th of its pixels, the brightest 64th of
+/// the bins left out (the largest plain mean where that is 0): a few outlying pixels, or the sun's disc, do
+/// not move it. Bins darker than 1e-8 of it do not count, those brighter than 16 times it count as so bright.
+/// 1 for a black image. The color is the sum of `parts`, 3 planes each.
 float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<uint8_t> &valid, float key,
                     Threads &threads);
 

@@ -53,6 +53,43 @@ TEST(Exposure, ScalesWithTheImage) {
         EXPECT_NEAR(exposure_of(noise(40, 60, 3, 1, scale)) * scale / exposure, 1, 1e-5) << scale;
 }
 
+TEST(Exposure, OutlyingPixelsHardlyMoveIt) {
+    for (float scale : {1e-12f, 1.0f, 1e6f}) {
+        Pixels color = noise(64, 64, 3, 1, scale);
+        const float calm = exposure_of(color);
+        for (int c = 0; c < 3; ++c)
+            color.at(20, 20, c) = 1e12f * scale;
+        EXPECT_NEAR(exposure_of(color) / calm, 1, 0.25) << "one of 16 bins, scale " << scale;
+        for (int y = 4; y < 64; y += 8)
+            for (int x = 0; x < 64; x += 16)
+                color.at(y, x, 1) = 1e12f * scale;
+        EXPECT_GT(exposure_of(color) / calm, 1 / 20.0) << "all bins, scale " << scale;
+    }
+}
+
+TEST(Exposure, TheSunIsNotTheScene) {
+    Pixels color = noise(160, 160, 3, 1);
+    const float calm = exposure_of(color);
+    for (int y = 66; y < 72; ++y) // one of 100 bins
+        for (int x = 66; x < 72; ++x)
+            color.at(y, x, 1) = 1e12f;
+    EXPECT_NEAR(exposure_of(color) / calm, 1, 0.05);
+}
+
+TEST(Exposure, ASmallLitPartInTheDarkCounts) {
+    for (float dark : {0.0f, 1e-12f}) {
+        Pixels color(160, 160, 3, dark);
+        for (int y = 64; y < 80; ++y) // two of 100 bins
+            for (int x = 64; x < 96; ++x)
+                for (int c = 0; c < 3; ++c)
+                    color.at(y, x, c) = 1;
+        EXPECT_NEAR(exposure_of(color), 0.18f, 1e-6) << dark;
+    }
+    Pixels star(64, 64, 3); // a single lit pixel is all there is to go by
+    star.at(9, 9, 1) = 256;
+    EXPECT_NEAR(exposure_of(star), 0.18f / 0.715160f, 1e-5);
+}
+
 TEST(Exposure, BlackAndDamagedImages) {
     EXPECT_EQ(exposure_of(Pixels(8, 8, 3)), 1.0f);
     EXPECT_EQ(exposure_of(Pixels(8, 8, 3, nan)), 1.0f);

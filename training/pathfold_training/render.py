@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pathfold import auto_exposure
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -317,16 +318,5 @@ def importance(radiance: Array, reference: Array) -> Array:
 
 
 def exposure(color: NDArray[Any]) -> float:
-    """Scale that brings the log-average luminance of [3, H, W] to 0.18; 1 if black.
-
-    Over bins of about 16 x 16 pixels; those below 1e-8 of the brightest do not count.
-    """
-    luminance = np.tensordot([0.2126, 0.7152, 0.0722], np.nan_to_num(color.astype(np.float64)), 1)
-    height, width = luminance.shape
-    edges = [np.linspace(0, n, max(1, n // 16) + 1).astype(int)[:-1] for n in (height, width)]
-    sums, counts = (
-        np.add.reduceat(np.add.reduceat(a, edges[0], 0), edges[1], 1) for a in (luminance, np.ones_like(luminance))
-    )
-    bins = sums / counts
-    bright = bins[bins > 1e-8 * bins.max()]
-    return float(0.18 / np.exp(np.log(bright).mean())) if bright.size else 1.0
+    """Scale that brings the log-average luminance of [3, H, W] to 0.18, by the SDK's own rule; 1 if black."""
+    return auto_exposure(np.moveaxis(color, 0, -1).astype(np.float32))
