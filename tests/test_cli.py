@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -293,6 +294,35 @@ def shell(*arguments: object, **environment: str) -> subprocess.CompletedProcess
     """The command as a process of its own."""
     command = [sys.executable, "-m", "pathfold", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, env={**os.environ, **environment}, check=False)
+
+
+def test_names_cannot_steer_the_terminal(run, tiny: Path, tmp_path: Path) -> None:
+    evil = "\x1b]0;owned\x07\x9b2J\u202e"
+    source = write(tmp_path / "in.exr", [part("", [*RGB, f"{evil}.Y"], ["float"] * 4, noise(4), artist=evil)])
+    out = tmp_path / "out.exr"
+    for arguments in (
+        ["info", source],
+        ["denoise", source, "-o", out, "-m", "single-3", "--layer", "*owned*"],
+        ["denoise", source, "-o", out, "-m", "single-3", "--map", "normal=nowhere"],
+        ["denoise", source, "-o", out, "-m", evil],
+        ["denoise", tmp_path / evil, "-o", out],
+    ):
+        code, said, complained = run(*arguments)
+        shown = said + complained
+        assert r"\x1b]0;owned\x07\x9b2J\u202e" in shown, (code, shown)
+        assert not any(ord(c) < 32 or 127 <= ord(c) < 160 or c == "\u202e" for c in shown.replace("\n", ""))
+
+
+def test_a_manifest_cannot_steer_the_terminal(run, tiny: Path, tmp_path: Path) -> None:
+    shutil.copytree(tiny / "single-3", tmp_path / "model")
+    path = tmp_path / "model" / "manifest.json"
+    entry = json.loads(path.read_text())
+    for place in (entry, entry["training"]):
+        place["name"] = "\x1b[2J"
+        path.write_text(json.dumps(entry))
+        code, out, err = run("info", tmp_path / "model")
+        assert code == 4 and "control character with the code 27" in err and "\x1b" not in out + err
+        place["name"] = "fine"
 
 
 def test_an_absent_onnxruntime_is_named(tiny: Path, tmp_path: Path) -> None:

@@ -113,6 +113,29 @@ private:
     std::string path_;
 };
 
+/// Text from elsewhere ends up on terminals, so none of it may steer one. UTF-8: C1 is 0xC2 0x80 to 0xC2
+/// 0x9F.
+void refuse_controls(const std::string &text) {
+    for (size_t i = 0; i < text.size(); ++i) {
+        const auto byte = static_cast<unsigned char>(text[i]);
+        const unsigned char next = i + 1 < text.size() ? static_cast<unsigned char>(text[i + 1]) : 0;
+        if (byte < 0x20 || byte == 0x7f || (byte == 0xc2 && next >= 0x80 && next < 0xa0))
+            fail(PATHFOLD_INVALID_MODEL, "manifest.json: a string holds the control character with the code ",
+                 int(byte == 0xc2 ? next : byte), "; write it without");
+    }
+}
+
+void refuse_controls(const Json &value) {
+    if (value.is_string())
+        refuse_controls(value.get_ref<const std::string &>());
+    if (!value.is_structured())
+        return;
+    for (const auto &[key, child] : value.items()) {
+        refuse_controls(key); // an array's keys are its indices
+        refuse_controls(child);
+    }
+}
+
 Json parse_json(const std::string &text) {
     if (text.size() > max_bytes)
         fail(PATHFOLD_INVALID_MODEL, "manifest.json has ", text.size(), " bytes; at most ", max_bytes,
@@ -282,6 +305,7 @@ bool Manifest::reads(const std::string &buffer) const {
 
 Manifest Manifest::parse(const std::string &text) {
     const Json json = parse_json(text);
+    refuse_controls(json);
     const Field root(json, "");
     if (!json.is_object())
         fail(PATHFOLD_INVALID_MODEL, "manifest.json must hold one object");

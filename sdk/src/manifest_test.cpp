@@ -64,6 +64,19 @@ TEST(Manifest, ComplaintsNameTheKey) {
     expect_wrong(with("/exposure/key", 1e9), "exposure.key");
 }
 
+TEST(Manifest, NoStringMaySteerATerminal) {
+    for (const char *text : {"\x1b[2J", "a\nb", "\x7f",
+                             "\xc2\x9b"
+                             "2J"})
+        for (const char *place :
+             {"/name", "/description", "/training/note", "/reconstruction/branches/0/name"})
+            expect_wrong(with(place, text), "control character");
+    Json json = good();
+    json["training"]["a\x1b"] = 1;
+    expect_wrong(json.dump(), "control character with the code 27");
+    Manifest::parse(with("/description", "Größe ≤ 1 \xc2\xa0 \xe2\x80\x93 fine"));
+}
+
 TEST(Manifest, SizeAndDepthAreBounded) {
     expect_wrong(std::string(2 << 20, ' '), "at most");
     expect_wrong(std::string(100000, '['), "nests deeper");

@@ -1,5 +1,6 @@
 """What the commands share: talking to the terminal, progress, errors in one line and their exit codes."""
 
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,16 +25,25 @@ class InputError(RuntimeError):
     """An input that a command cannot use; the message names it and the cure."""
 
 
+# Names in files and models are anybody's: what would steer a terminal or turn its text around is shown by its code.
+_STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def harmless(text: str) -> str:
+    """The text with control characters, lone surrogates and marks of direction written as escapes."""
+    return _STEERING.sub(lambda found: found.group().encode("unicode_escape").decode(), text)
+
+
 def say(text: str) -> None:
-    """One line on stdout, as it is."""
-    print(text, flush=True)
+    """One line on stdout."""
+    print(harmless(text), flush=True)
 
 
 def complain(error: object) -> None:
     """One line on stderr; nothing where typer has said it all by printing the help."""
     text = error.format_message() if hasattr(error, "format_message") else str(error) or type(error).__name__
     if text:
-        print(f"pathfold: {' '.join(text.split())}", file=sys.stderr, flush=True)
+        print(f"pathfold: {harmless(' '.join(text.split()))}", file=sys.stderr, flush=True)
 
 
 def exit_code(error: Exception) -> int | None:
@@ -78,7 +88,7 @@ def run(app: typer.Typer) -> int:
 def progress(title: str, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """A bar on stderr that is told the fraction done; silent where stderr is no terminal."""
     terminal = Console(stderr=True)
-    columns: tuple[Any, ...] = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    columns: tuple[Any, ...] = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=terminal, transient=True, disable=quiet or not terminal.is_terminal) as bar:
-        task = bar.add_task(title, total=1.0)
+        task = bar.add_task(harmless(title), total=1.0)
         yield lambda done: bar.update(task, completed=done)
