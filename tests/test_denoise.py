@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from contextlib import nullcontext
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -200,12 +201,24 @@ def test_a_run_within_its_own_run_is_refused(tiny: Path, handled: bool) -> None:
         ({"albedo": picture()}, r"color"),
         ({"color": picture(), "exposure": -1.0}, r"exposure is -1"),
         ({"color": "picture.exr"}, r"color: given <U11 values"),
+        ({"color": picture(), "exposure": "bright"}, r"exposure is a str; give a number > 0"),
+        ({"color": picture(), "samples": picture()}, r'samples is a numpy.ndarray; give {"descriptor": S x H x W'),
+        ({"color": picture(), "samples": {1: picture()}}, r"samples has the key 1, a int; give {"),
+        ({"color": picture(), "layers": ["key"]}, r"layers is a list; give {NAME: "),
+        ({"color": picture(), "layers": {"key": picture()}}, r"layers\['key'\] is a numpy.ndarray; give {\"color\""),
+        ({"color": picture(), "layers": {"key": {"color": None}}}, r"layer 'key', color: given object values"),
     ],
 )
 def test_what_is_wrong_is_named(tiny: Path, arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(pathfold.PathfoldError, match=message) as caught:
         pathfold.denoise(model="split-5", **arguments)
     assert caught.value.code == "invalid-argument"
+
+
+def test_any_real_number_is_an_exposure(tiny: Path) -> None:
+    expected = pathfold.denoise(picture(), model="single-3", exposure=2.0)
+    for exposure in (2, np.float32(2), Fraction(2)):
+        assert (pathfold.denoise(picture(), model="single-3", exposure=exposure) == expected).all()
 
 
 def test_unknown_buffers_and_models_are_named(tiny: Path) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.util import find_spec
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,7 @@ class Denoiser:
             "diffuse.variance": diffuse_variance,
             "specular.variance": specular_variance,
         }
-        named |= {f"samples.{name}": block for name, block in (samples or {}).items()}
+        named |= {f"samples.{name}": block for name, block in _mapping("samples", samples, _SAMPLES).items()}
         return self.run_buffers(named, layers=layers, exposure=exposure, progress=progress)
 
     def run_buffers(
@@ -117,11 +118,17 @@ class Denoiser:
         progress: Progress | None = None,
     ) -> Result:
         """`run` with the buffers under their own names ("diffuse.albedo", "samples.descriptor", ...)."""
-        arrays = {name: as_array(name, value) for name, value in buffers.items() if value is not None}
+        given = _mapping("buffers", buffers, '{"color": array, ...}')
+        arrays = {name: as_array(name, value) for name, value in given.items() if value is not None}
         extra = {
-            layer: {part: as_array(f"layer {layer!r}, {part}", value) for part, value in parts.items()}
-            for layer, parts in (layers or {}).items()
+            layer: {
+                part: as_array(f"layer {layer!r}, {part}", value)
+                for part, value in _mapping(f"layers[{layer!r}]", parts, _PARTS).items()
+            }
+            for layer, parts in _mapping("layers", layers, _LAYERS).items()
         }
+        if exposure is not None and not isinstance(exposure, Real):
+            raise _not_a(f"exposure is {_kind(exposure)}", "a number > 0, or None")
         images, report = self._core.run(
             arrays,
             layers=extra or None,
@@ -184,10 +191,36 @@ def _from_foreign(name: str, value: Array) -> NDArray[Any]:
     except Exception as error:
         raise failure(
             "invalid-argument",
-            f"{name}: a {type(value).__module__}.{type(value).__qualname__} cannot be read as a host array "
+            f"{name}: {_kind(value)} cannot be read as a host array "
             f"({str(error).splitlines()[0] if str(error) else type(error).__name__}); "
             "pass NumPy, or torch after .detach().cpu()",
         ) from error
+
+
+_SAMPLES = '{"descriptor": S x H x W x 36, "density": S x H x W x 1}'
+_PARTS = '{"color": array}, or {"diffuse": array, "specular": array}'
+_LAYERS = f"{{NAME: {_PARTS}}}"
+
+
+def _mapping(name: str, value: object, like: str) -> Mapping[str, Any]:
+    """`value` itself if its keys are names; a PathfoldError that shows what it should be like, if not."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise _not_a(f"{name} is {_kind(value)}", like)
+    for key in value:
+        if not isinstance(key, str):
+            raise _not_a(f"{name} has the key {key!r}, {_kind(key)}", like)
+    return value
+
+
+def _not_a(given: str, like: str) -> PathfoldError:
+    return failure("invalid-argument", f"{given}; give {like}")
+
+
+def _kind(value: object) -> str:
+    kind = type(value)
+    return f"a {kind.__qualname__}" if kind.__module__ == "builtins" else f"a {kind.__module__}.{kind.__qualname__}"
 
 
 def failure(code: str, message: str) -> PathfoldError:
