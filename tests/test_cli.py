@@ -256,6 +256,10 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "no output": (["denoise", good], 2, "Missing option '-o'"),
         "output folder": (["denoise", good, "-o", lost, "-m", "split-5"], 5, "cannot be written"),
         "output type": (["denoise", good, "-o", bare, "-m", "split-5"], 5, "out: "),
+        "unknown output type": (["denoise", good, "-o", tmp_path / "out.xyz", "-m", "nope"], 5, "name it .exr"),
+        "no exposure": (["denoise", tmp_path / "none.exr", *out, "--exposure", 0], 2, "'--exposure': 0 is not > 0"),
+        "exposure of NaN": (["render", good, *scene, "--exposure", "nan"], 2, "'--exposure': nan is not > 0"),
+        "color none": (["denoise", good, *out, "--map", "color=none"], 3, "color is what is denoised; name its layer"),
         "no frames": (["denoise", tmp_path / "f.####.exr", "-o", tmp_path / "c.####.exr"], 3, "no file of that name"),
         "one output": (["denoise", tmp_path / "f.####.exr", *out], 3, "needs #### in the name of its output"),
         "no scene": (["render", tmp_path / "no.xml", *scene], 3, "no such file"),
@@ -276,7 +280,8 @@ CASES = (
     "missing file", "not an EXR", "display values", "no color", "no samples", "no such layer", "bad map", "guide size",
     "no model", "no provider", "no output", "output folder", "output type", "no frames", "one output", "no scene",
     "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
-    "info on a folder", "info on a spoiled model", "for a folder",
+    "info on a folder", "info on a spoiled model", "for a folder", "unknown output type", "no exposure",
+    "exposure of NaN", "color none",
 )  # fmt: skip
 
 

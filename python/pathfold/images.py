@@ -227,6 +227,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 def check_output(path: str | os.PathLike[str]) -> None:
     """Raise OutputError now, not after long work, where `path` could not be written."""
+    if oiio.ImageOutput.create(str(path)) is None:
+        raise OutputError(f"{path}: {_first_line(oiio.geterror())}; name it .exr")
     _placeholder(Path(path)).unlink()
 
 

@@ -164,6 +164,10 @@ def describe(file: ImageFile) -> str:
 def _colors(file: ImageFile, preset: Preset, overrides: Mapping[str, str]) -> list[tuple[Layer, str]]:
     """Every beauty layer with the text that the star stands for."""
     if "color" in overrides:
+        if overrides["color"].lower() == "none":
+            raise ImageError(
+                f"{file.path}: --map color=none: color is what is denoised; name its layer, or leave it away"
+            )
         layer = _named(file, "color", overrides["color"])
         patterns = preset.buffers["color"]
         return [(layer, next((star for p in patterns if (star := _star(p, layer)) is not None), ""))]

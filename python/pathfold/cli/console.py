@@ -84,6 +84,13 @@ def run(app: typer.Typer) -> int:
         return code
 
 
+def check_exposure(value: float | None) -> float | None:
+    """Callback of --exposure: refuses what no run could use, before any work."""
+    if value is not None and not 0 < value < float("inf"):
+        raise typer.BadParameter(f"{value:g} is not > 0 and finite; leave --exposure away to take it from the picture")
+    return value
+
+
 @contextmanager
 def progress(title: str, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """A bar on stderr that is told the fraction done; silent where stderr is no terminal."""

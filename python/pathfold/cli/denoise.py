@@ -30,7 +30,7 @@ def denoise(
     normal: Annotated[Path | None, typer.Option("--nrm", help="A file that holds the normals.")] = None,
     exposure: Annotated[
         float | None,
-        typer.Option("--exposure", min=0, help="Factor for the network's input; default: automatic."),
+        typer.Option(callback=console.check_exposure, help="Factor for the network's input; default: automatic."),
     ] = None,
     provider: Annotated[str, typer.Option(help="The onnxruntime execution provider.")] = "cpu",
     threads: Annotated[int, typer.Option(min=0, help="Threads; 0: all cores.")] = 0,

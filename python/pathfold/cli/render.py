@@ -28,7 +28,9 @@ def render(
         str | None,
         typer.Option("--denoise", metavar="MODEL", help="Denoise at once; no samples are written."),
     ] = None,
-    exposure: Annotated[float | None, typer.Option(min=0, help="With --denoise: as in `denoise`.")] = None,
+    exposure: Annotated[
+        float | None, typer.Option(callback=console.check_exposure, help="With --denoise: as in `denoise`.")
+    ] = None,
     variant: Annotated[str, typer.Option(help="Mitsuba's variant.")] = "llvm_ad_rgb",
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Print errors only.")] = False,
 ) -> None:
