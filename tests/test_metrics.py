@@ -88,3 +88,36 @@ def test_a_missing_package_names_its_extra(monkeypatch: pytest.MonkeyPatch, metr
     monkeypatch.setattr(builtins, "__import__", absent)
     with pytest.raises(ModuleNotFoundError, match=rf"{package}.*pathfold\[bench\]"):
         getattr(metrics, metric)(flat(1), flat(1))
+
+
+def test_a_shared_exposure_replaces_the_own_one() -> None:
+    rng = np.random.default_rng(3)
+    reference = rng.uniform(0.05, 3, (16, 16, 3))
+    image = reference * rng.uniform(0.5, 1.5, reference.shape)
+    own = metrics.exposure(reference)
+    assert metrics.compare(image, reference, own) == metrics.compare(image, reference)
+    other = metrics.compare(image, reference, 10 * own)
+    assert other["ssim"] != metrics.ssim(image, reference) and other["flip"] != metrics.flip(image, reference)
+    assert other["rell2"] == metrics.rell2(image, reference)
+
+
+def test_flicker_by_hand() -> None:
+    def sequence(*offsets: float) -> float | None:
+        flicker = metrics.Flicker(1.0)
+        for offset in offsets:
+            shown = metrics.display(flat(1), 1.0) + offset
+            linear = shown**2.2 / (1 - shown**2.2)  # the picture whose display values are off by `offset`
+            flicker.add(linear, flat(1))
+        return flicker.value
+
+    assert sequence(0.1, 0.1) is None
+    assert sequence(0.1, 0.1, 0.1) == pytest.approx(0, abs=1e-6)  # a steady error does not flicker
+    assert sequence(0.0, 0.1, 0.2) == pytest.approx(0, abs=1e-6)  # nor does a drift
+    assert sequence(0.1, -0.1, 0.1) == pytest.approx(0.4, rel=1e-4)
+    assert sequence(0.1, -0.1, 0.1, 0.1) == pytest.approx((0.4 + 0.2) / 2, rel=1e-4)
+
+
+def test_cropped() -> None:
+    image = np.arange(60 * 70 * 3).reshape(60, 70, 3)
+    np.testing.assert_array_equal(metrics.cropped(image), image[28:32, 28:42])
+    assert metrics.cropped(image[:56]) is None

@@ -1,7 +1,8 @@
 """Error of a picture against a reference: arrays are height x width x 3, linear radiance, finite.
 
-Smaller is better for all but SSIM. SSIM and FLIP look at the display picture (`display`); they need
-scikit-image and flip-evaluator, which come with the `bench` extra.
+Smaller is better for all but SSIM. SSIM and FLIP look at the display picture (`display`), exposed as the reference
+wants it or, where frames belong together, by a `scale` that they share; they need scikit-image and flip-evaluator,
+which come with the `bench` extra.
 """
 
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 EPSILON = 1e-2
+PAPER_EPSILON, PAPER_BORDER = 1e-4, 28  # RelL2 as published for path manifolds: this epsilon, so many pixels cut off
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 _GREY = 0.18
 
@@ -39,13 +41,19 @@ def reference_rell2(a: ArrayLike, b: ArrayLike, epsilon: float = EPSILON) -> flo
     return float(np.mean(((a - b) / 2) ** 2 / (((a + b) / 2) ** 2 + epsilon)))
 
 
+def cropped(image: ArrayLike, border: int = PAPER_BORDER) -> Image | None:
+    """The picture without its border; None where nothing would be left."""
+    x = np.asarray(image)
+    return x[border:-border, border:-border] if min(x.shape[:2]) > 2 * border else None
+
+
 def smape(image: ArrayLike, reference: ArrayLike, epsilon: float = EPSILON) -> float:
     """Symmetric absolute error, mean(|x - r| / (|x| + |r| + epsilon)), in [0, 1]."""
     x, r = _pair(image, reference)
     return float(np.mean(np.abs(x - r) / (np.abs(x) + np.abs(r) + epsilon)))
 
 
-def ssim(image: ArrayLike, reference: ArrayLike) -> float:
+def ssim(image: ArrayLike, reference: ArrayLike, scale: float | None = None) -> float:
     """Structural similarity of the display pictures: scikit-image's 7 x 7 window, data range 1. 1 is equal.
 
     Raises ValueError for a picture smaller than the window.
@@ -57,24 +65,59 @@ def ssim(image: ArrayLike, reference: ArrayLike) -> float:
     x, r = _pair(image, reference)
     if min(x.shape[:2]) < 7:
         raise ValueError(f"SSIM needs at least 7x7 pixels, given {x.shape[1]}x{x.shape[0]}")
-    scale = exposure(r)
+    scale = exposure(r) if scale is None else scale
     return float(structural_similarity(display(x, scale), display(r, scale), data_range=1, channel_axis=2))
 
 
-def flip(image: ArrayLike, reference: ArrayLike) -> float:
+def flip(image: ArrayLike, reference: ArrayLike, scale: float | None = None) -> float:
     """Mean LDR-FLIP error of the display pictures at FLIP's default viewing distance."""
-    return float(_flip(image, reference)[1])
+    return float(flip_map(image, reference, scale).mean(dtype=np.float64))
 
 
-def flip_map(image: ArrayLike, reference: ArrayLike) -> NDArray[np.float32]:
+def flip_map(image: ArrayLike, reference: ArrayLike, scale: float | None = None) -> NDArray[np.float32]:
     """The FLIP error of every pixel, height x width, in [0, 1]."""
-    return np.asarray(_flip(image, reference)[0], np.float32).reshape(np.shape(reference)[:2])
+    try:
+        import flip_evaluator
+    except ModuleNotFoundError as error:
+        raise _missing("FLIP", "flip-evaluator") from error
+    x, r = _pair(image, reference)
+    scale = exposure(r) if scale is None else scale
+    errors = flip_evaluator.evaluate(display(r, scale), display(x, scale), "LDR", applyMagma=False)[0]
+    return np.asarray(errors, np.float32).reshape(r.shape[:2])
 
 
-def compare(image: ArrayLike, reference: ArrayLike) -> dict[str, float]:
+def compare(image: ArrayLike, reference: ArrayLike, scale: float | None = None) -> dict[str, float]:
     """All four: {"rell2", "smape", "ssim", "flip"}."""
-    measures = {"rell2": rell2, "smape": smape, "ssim": ssim, "flip": flip}
-    return {name: measure(image, reference) for name, measure in measures.items()}
+    relative = {"rell2": rell2(image, reference), "smape": smape(image, reference)}
+    return relative | {"ssim": ssim(image, reference, scale), "flip": flip(image, reference, scale)}
+
+
+class Flicker:
+    """Unsteadiness of a sequence: the mean absolute second difference over time of its error in display values.
+
+    A steady error, however large, is 0; `scale` is the exposure that all frames share. Fed frame by frame, it holds
+    the errors of two.
+    """
+
+    def __init__(self, scale: float) -> None:
+        self._scale = scale
+        self._errors: list[Image] = []
+        self._sum, self._count = 0.0, 0
+
+    def add(self, image: ArrayLike, reference: ArrayLike) -> None:
+        """The next frame and its reference."""
+        x, r = _pair(image, reference)
+        self._errors.append(display(x, self._scale) - display(r, self._scale))
+        if len(self._errors) == 3:
+            first, middle, last = self._errors
+            self._sum += float(np.mean(np.abs(first - 2 * middle + last)))
+            self._count += 1
+            del self._errors[0]
+
+    @property
+    def value(self) -> float | None:
+        """None where fewer than three frames came."""
+        return self._sum / self._count if self._count else None
 
 
 def exposure(reference: ArrayLike) -> float:
@@ -92,19 +135,6 @@ def display(image: ArrayLike, scale: float) -> NDArray[np.float32]:
     """Linear radiance as it is shown: (s x / (1 + s x))^(1 / 2.2), in [0, 1]."""
     exposed = scale * np.maximum(np.asarray(image, np.float64), 0)
     return ((exposed / (1 + exposed)) ** (1 / 2.2)).astype(np.float32)
-
-
-def _flip(image: ArrayLike, reference: ArrayLike) -> tuple[Any, float, Any]:
-    try:
-        import flip_evaluator
-    except ModuleNotFoundError as error:
-        raise _missing("FLIP", "flip-evaluator") from error
-    x, r = _pair(image, reference)
-    scale = exposure(r)
-    result: tuple[Any, float, Any] = flip_evaluator.evaluate(
-        display(r, scale), display(x, scale), "LDR", applyMagma=False
-    )
-    return result
 
 
 def _pair(image: ArrayLike, reference: ArrayLike) -> tuple[Image, Image]:

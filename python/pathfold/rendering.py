@@ -35,15 +35,28 @@ class Camera:
             self._scene = mi.load_file(str(path), optimize=False)
         except Exception as error:  # Mitsuba raises whatever its parsers raise
             raise SceneError(f"{path}: not a scene that Mitsuba can load: {_last_words(error)}") from error
-        if sensor >= len(self._scene.sensors()):
-            raise SceneError(f"{path}: has no camera {sensor}; it has {len(self._scene.sensors())}")
+        self._path = path
+        self.use(sensor, size)
+
+    @property
+    def scene(self) -> Any:
+        """The loaded mitsuba.Scene."""
+        return self._scene
+
+    def use(self, sensor: int, size: tuple[int, int] | None) -> None:
+        """See the scene through its camera number `sensor`, with a film of width x height (None: the film's own)."""
+        import mitsuba as mi
+
+        sensors = self._scene.sensors()
+        if sensor >= len(sensors):
+            raise SceneError(f"{self._path}: has no camera {sensor}; it has {len(sensors)}")
         self._sensor = sensor
-        self._parameters = mi.traverse(self._scene.sensors()[sensor])
+        self._parameters = mi.traverse(sensors[sensor])
         if size:
             self._film(size=size)
-        film = self._scene.sensors()[sensor].film()
-        self._origin = tuple(int(n) for n in film.crop_offset())
-        self.size = tuple(int(n) for n in film.crop_size())
+        film = sensors[sensor].film()
+        (x, y), (width, height) = film.crop_offset(), film.crop_size()
+        self._origin, self.size = (int(x), int(y)), (int(width), int(height))
 
     def trace(
         self,
@@ -89,6 +102,7 @@ class Camera:
                 whole = samples.setdefault("valid", np.ones((spp, height, width, 1), np.float16))
                 whole[:, first:last] = valid[..., None]
             bar(last / height)
+        self._film(crop_offset=self._origin, crop_size=self.size)
         return buffers, samples, dropped
 
     def _film(self, **values: tuple[int, int]) -> None:

@@ -74,6 +74,7 @@ def render(
         "pathfold:spp": spp,
         "pathfold:seed": seed,
         "pathfold:max_depth": max_depth,
+        "pathfold:render_seconds": seconds,
         **({"pathfold:model": denoiser.model.name} if denoiser else {}),
     }
     write(output, buffers, samples, metadata)

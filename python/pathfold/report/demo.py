@@ -6,12 +6,9 @@ index.html. Times are medians after a warm-up; the denoisers take turns.
 """
 
 import json
-import os
-import platform
 import sys
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from statistics import median
@@ -28,13 +25,16 @@ from pathfold.cli.render import parse_size
 from pathfold.images import OutputError, check_output
 from pathfold.rendering import load_mitsuba
 from pathfold.report import Method, page, peers, picture, tables
+from pathfold.report.machine import machine, versions
+from pathfold.report.measure import in_turns
+from pathfold.report.reference import Reference
+from pathfold.report.reference import render as render_reference
 
 MODELS = ("kpcn-vanilla", "kpcn-manifold")
 ROUNDS = 5
-CHUNK = 16  # samples per pixel and call of the reference
 # Where to look closely, as shares of the frame: left, top, width (the height follows).
 CROPS = ((0.15, 0.27, 0.16), (0.54, 0.38, 0.16), (0.71, 0.48, 0.16))
-SEED, REFERENCE_SEED = 1, 100_000
+SEED = 1
 
 Image = NDArray[np.float32]
 
@@ -60,7 +60,7 @@ def demo(
     renders: dict[Any, Callable[[], Any]] = {
         described: partial(traced, scene, spp, MAX_DEPTH, described) for described in (False, True)
     }
-    (plain_ms, _), (render_ms, (buffers, samples)) = in_turns(renders, rounds=3).values()
+    (plain_ms, _), (render_ms, (buffers, samples)) = turns(renders, 3).values()
 
     console.say("denoising")
     guides = (buffers["color"], buffers["albedo"], buffers["normal"])
@@ -73,20 +73,19 @@ def demo(
         entries[name] = (render_ms if reads else plain_ms, apply(denoiser, buffers | samples))
     denoised = [
         Method(name, image, render_ms=entries[name][0], denoise_ms=ms)
-        for name, (ms, image) in in_turns({name: call for name, (_, call) in entries.items()}, ROUNDS).items()
+        for name, (ms, image) in turns({name: call for name, (_, call) in entries.items()}, ROUNDS).items()
     ]
     same_time = equal_time(scene, spp, denoised[-1].total_ms or 0)
     noisy = Method(f"{spp} spp", buffers["color"], render_ms=plain_ms)
     methods = [noisy, same_time, *denoised]
 
     console.say("rendering the reference")
-    a, b, reached = reference(scene, reference_spp, start + seconds)
-    mean = ((a + b) / 2).astype(np.float32)
+    with console.progress("reference") as bar:
+        reference = render_reference(scene, reference_spp, start + seconds - perf_counter(), bar)
     for method in methods:
-        method.errors = metrics.compare(method.image, mean) | {"rell2": metrics.rell2_halves(method.image, a, b)}
-    own_error = metrics.reference_rell2(a, b)
-    truth = Method("reference", mean, note=f"{reached} spp")
-    write(out, [*methods, truth], spp, notes_of(methods, own_error, reached), facts_of(scene, spp, MAX_DEPTH))
+        method.errors = reference.errors(method.image)
+    truth = Method("reference", reference.mean, note=f"{reference.spp} spp")
+    write(out, [*methods, truth], spp, notes_of(methods, reference), facts_of(scene, spp, MAX_DEPTH))
     show(methods, out, perf_counter() - start)
 
 
@@ -107,15 +106,10 @@ def apply(denoiser: Denoiser, buffers: dict[str, Any]) -> Callable[[], Image]:
     return lambda: denoiser.run_buffers(read).color
 
 
-def in_turns(calls: dict[Any, Callable[[], Any]], rounds: int) -> dict[Any, tuple[float, Any]]:
-    """Median milliseconds of every call and its result; the calls take turns, so that a busy moment hits all."""
-    results = {name: call() for name, call in calls.items()}  # the warm-up
-    took: dict[Any, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            start = perf_counter()
-            call()
-            took[name].append(1000 * (perf_counter() - start))
+def turns(calls: dict[Any, Callable[[], Any]], rounds: int) -> dict[Any, tuple[float, Any]]:
+    """Median milliseconds of every call after a warm-up, and its result."""
+    results = {name: call() for name, call in calls.items()}
+    took = in_turns(calls, rounds)
     return {name: (median(took[name]), results[name]) for name in calls}
 
 
@@ -126,36 +120,19 @@ def equal_time(scene: Any, spp: int, budget_ms: float) -> Method:
     def render(count: int) -> Image:
         return np.array(mi.render(scene, spp=count, seed=mi.UInt32(SEED)), np.float32)[..., :3]
 
-    ((ms, _),) = in_turns({spp: lambda: render(spp)}, rounds=3).values()
+    ((ms, _),) = turns({spp: lambda: render(spp)}, 3).values()
     count = max(1, round(spp * budget_ms / ms))
     start = perf_counter()
     image = render(count)
     return Method(f"{count} spp, same time", image, render_ms=1000 * (perf_counter() - start))
 
 
-def reference(scene: Any, spp: int, end: float) -> tuple[Image, Image, int]:
-    """Two independent halves by Mitsuba's path tracer, and the samples per pixel that both reached by `end`."""
-    import mitsuba as mi
-
-    sums: list[Any] = [0.0, 0.0]
-    rounds, chunk = max(1, spp // (2 * CHUNK)), min(CHUNK, max(1, spp // 2))
-    with console.progress("reference") as bar:
-        for done in range(rounds):
-            for half in range(2):
-                image = mi.render(scene, spp=chunk, seed=mi.UInt32(REFERENCE_SEED + 2 * done + half))
-                sums[half] = sums[half] + np.array(image, np.float64)[..., :3]
-            bar((done + 1) / rounds)
-            if perf_counter() > end:
-                break
-    a, b = ((total / (done + 1)).astype(np.float32) for total in sums)
-    return a, b, 2 * chunk * (done + 1)
-
-
-def notes_of(methods: list[Method], own_error: float, spp: int) -> list[str]:
+def notes_of(methods: list[Method], reference: Reference) -> list[str]:
     """What a reader must know to judge the table."""
+    own_error = reference.own_error or 0
     notes = [
-        f"RelL2 is taken against two independent halves of the reference ({spp} spp together), whose own noise "
-        f"drops out; the reference's own RelL2 is {own_error:.5f}. The other three see the whole reference.",
+        f"RelL2 is taken against two independent halves of the reference ({reference.spp} spp together), whose own "
+        f"noise drops out; the reference's own RelL2 is {own_error:.5f}. The other three see the whole reference.",
         "Rendering for the OIDN and vanilla rows gives buffers alone; for the manifold row it gives path descriptors "
         "as well; the second row is Mitsuba's own path tracer with its usual Russian roulette. OIDN runs at quality "
         "high: with the noisy guides, and with guides prefiltered and cleanAux.",
@@ -169,23 +146,14 @@ def notes_of(methods: list[Method], own_error: float, spp: int) -> list[str]:
 def facts_of(scene: Any, spp: int, max_depth: int) -> dict[str, str]:
     """How and on what it was made."""
     width, height = scene.sensors()[0].film().size()
-    packages = ("mitsuba", "onnxruntime", "pyoidn")
     return {
         "Scene": "a still life made of formulas, CC0 1.0 (pathfold.report.scene)",
         "Picture": f"{width}x{height}, {spp} samples per pixel, paths of up to {max_depth} segments, seed {SEED}",
-        "Machine": f"{processor()}, {os.cpu_count()} cores",
-        "Software": ", ".join([f"pathfold {version('pathfold')}", *(f"{name} {version(name)}" for name in packages)]),
+        "Machine": machine(),
+        "Software": ", ".join(f"{name} {number}" for name, number in versions().items()),
         "Display": "(s x / (1 + s x))^(1/2.2), the reference's log-average luminance at 0.18",
         "Made by": "python -m pathfold.report.demo",
     }
-
-
-def processor() -> str:
-    """The processor's name, as far as the system tells."""
-    listing = Path("/proc/cpuinfo")
-    lines = listing.read_text().splitlines() if listing.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
 
 
 def check_packages() -> None:

@@ -4,6 +4,7 @@ from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from pathfold import metrics
 from pathfold.images import replacing
@@ -27,19 +28,15 @@ def save(
     after: str,
 ) -> None:
     """Write the page. `methods` ends with the reference; `before` and `after` name what the slider starts with."""
-    from jinja2 import Environment
     from matplotlib import colormaps
 
-    template = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(
-        (files(__package__) / "page.html").read_text(encoding="utf-8")
-    )
     reference = methods[-1].image
     views = [
         {
             "name": method.name,
             "caption": caption_of(method),
-            "image": _data(png(metrics.display(method.image, scale))),
-            "error": _data(png(colormaps["magma"](ERROR_GAIN * metrics.flip_map(method.image, reference))[..., :3])),
+            "image": data_uri(png(metrics.display(method.image, scale))),
+            "error": data_uri(png(colormaps["magma"](ERROR_GAIN * metrics.flip_map(method.image, reference))[..., :3])),
         }
         for method in methods
     ]
@@ -50,7 +47,9 @@ def save(
     ]
     names = [method.name for method in methods]
     height, width = reference.shape[:2]
-    text = template.render(
+    write_page(
+        path,
+        "page.html",
         title=title,
         lead=lead,
         notes=notes,
@@ -64,8 +63,16 @@ def save(
         before=names.index(before),
         after=names.index(after),
     )
+
+
+def write_page(path: Path, template: str, **values: Any) -> None:
+    """Fill in a template of this package, with what it includes, and write it."""
+    from jinja2 import Environment, FunctionLoader
+
+    loader = FunctionLoader(lambda name: (files(__package__) / name).read_text(encoding="utf-8"))
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, loader=loader)
     with replacing(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
+        unfinished.write_text(environment.get_template(template).render(**values), encoding="utf-8")
 
 
 def _wins(methods: list[Method], method: Method) -> set[int]:
@@ -73,5 +80,5 @@ def _wins(methods: list[Method], method: Method) -> set[int]:
     return {column for column, metric in enumerate(METRICS, start=1) if best(methods, metric) is method}
 
 
-def _data(content: bytes) -> str:
-    return f"data:image/png;base64,{b64encode(content).decode('ascii')}"
+def data_uri(content: bytes, kind: str = "png") -> str:
+    return f"data:image/{kind};base64,{b64encode(content).decode('ascii')}"

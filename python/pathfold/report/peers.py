@@ -9,32 +9,53 @@ from numpy.typing import NDArray
 Image = NDArray[np.float32]
 
 
-def oidn(color: Image, albedo: Image, normal: Image) -> Image:
-    """Quality high with the noisy guides as they are: what most use."""
-    denoised: Image = _pyoidn().denoise(color, albedo, normal, hdr=True, quality="high")
-    return denoised
+def oidn(color: Image, albedo: Image | None, normal: Image | None, scale: float | None = None) -> Image:
+    """Quality high with the noisy guides as they are: what most use. `scale` replaces its own exposure."""
+    return _denoise(color, albedo, normal, scale, clean=False)
 
 
-def oidn_prefiltered(color: Image, albedo: Image, normal: Image) -> Image:
+def oidn_prefiltered(color: Image, albedo: Image | None, normal: Image | None, scale: float | None = None) -> Image:
     """Quality high with guides denoised first and `cleanAux`: its best."""
-    albedo, normal = _prefiltered("albedo", albedo), _prefiltered("normal", normal)
-    denoised: Image = _pyoidn().denoise(color, albedo, normal, hdr=True, clean_aux=True, quality="high")
-    return denoised
+    guides = (_prefiltered("albedo", albedo), _prefiltered("normal", normal))
+    return _denoise(color, *guides, scale, clean=albedo is not None)
 
 
-def _prefiltered(name: str, guide: Image) -> Image:
+def _denoise(color: Image, albedo: Image | None, normal: Image | None, scale: float | None, clean: bool) -> Image:
+    if albedo is None:
+        normal = None  # it takes normals only beside an albedo
+    if scale is None:
+        denoised: Image = _pyoidn().denoise(color, albedo, normal, hdr=True, clean_aux=clean, quality="high")
+        return denoised
+    images = {"color": color, "albedo": albedo, "normal": normal}
+    given = tuple(name for name, image in images.items() if image is not None)
+    settings: dict[str, bool | float] = {"hdr": True, "cleanAux": clean, "inputScale": scale}
+    return _execute(_filter(given), {name: images[name] for name in given}, settings)
+
+
+def _prefiltered(name: str, guide: Image | None) -> Image | None:
+    return None if guide is None else _execute(_filter((name,)), {name: guide}, {})
+
+
+def _execute(run: Any, images: dict[str, Any], settings: dict[str, bool | float]) -> Image:
     pyoidn = _pyoidn()
-    guide = np.ascontiguousarray(guide, np.float32)  # before empty_like, which keeps strides
-    clean = np.empty_like(guide)
-    with pyoidn.Filter(_device(), "RT") as prefilter:
-        prefilter.set_image(name, guide, pyoidn.OIDN_FORMAT_FLOAT3)
-        prefilter.set_image("output", clean, pyoidn.OIDN_FORMAT_FLOAT3)
-        prefilter.set_quality(pyoidn.OIDN_QUALITY_HIGH)
-        prefilter.commit()
-        prefilter.execute()
+    images = {name: np.ascontiguousarray(image, np.float32) for name, image in images.items()}
+    output = np.empty_like(next(iter(images.values())))
+    for name, image in (images | {"output": output}).items():
+        run.set_image(name, image, pyoidn.OIDN_FORMAT_FLOAT3)
+    for name, value in settings.items():
+        (run.set_bool if isinstance(value, bool) else run.set_float)(name, value)
+    run.set_quality(pyoidn.OIDN_QUALITY_HIGH)
+    run.commit()
+    run.execute()
     if error := _device().get_error():
         raise RuntimeError(f"Open Image Denoise: {error}")
-    return clean
+    return output
+
+
+@lru_cache(maxsize=8)
+def _filter(images: tuple[str, ...]) -> Any:
+    """One filter for each set of inputs; kept, as pyoidn.denoise keeps its own."""
+    return _pyoidn().Filter(_device(), "RT")
 
 
 @lru_cache(maxsize=1)

@@ -1,0 +1,91 @@
+"""What a bench compares: the noisy picture, Open Image Denoise, and every model."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pathfold import models
+from pathfold.denoising import failure
+from pathfold.report import peers
+
+NOISY = "noisy"
+PEERS = {"oidn": peers.oidn, "oidn-prefiltered": peers.oidn_prefiltered}
+
+Image = NDArray[np.float32]
+Buffers = Mapping[str, NDArray[Any]]
+Run = Callable[[Buffers, float | None], Image]  # buffers and the exposure (None: its own) to the picture
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way to get a clean picture from buffers."""
+
+    name: str  # what tables call it
+    argument: str  # what `find` makes it from
+    reads: frozenset[str]
+    identity: str  # changes where results may change
+    load: Callable[[], Run]  # reads weights and all else that a first frame needs
+
+    @property
+    def reads_paths(self) -> bool:
+        return any(name.startswith("samples.") for name in self.reads)
+
+
+def find(argument: str) -> Candidate:
+    """`noisy`, `oidn`, `oidn-prefiltered`, or a model's name or folder.
+
+    Raises PathfoldError ("not-found") that says what there is.
+    """
+    if argument == NOISY:
+        return Candidate(NOISY, argument, frozenset({"color"}), "", lambda: lambda buffers, _: buffers["color"])
+    if argument in PEERS:
+        return _peer(argument)
+    try:
+        folder = models.find(argument)
+    except Exception as error:
+        others = ", ".join((NOISY, *PEERS))
+        raise failure("not-found", f"{error}; besides models there are {others}") from error
+    manifest = (folder / "manifest.json").read_bytes()  # holds the hashes of its graphs
+    reads = frozenset({"color", *models.inputs(folder)})
+    return Candidate(folder.name, argument, reads, sha256(manifest).hexdigest()[:12], lambda: _model(folder))
+
+
+def find_all(arguments: Sequence[str]) -> list[Candidate]:
+    """Every one, in order; raises PathfoldError as `find`, or where two would go by one name."""
+    found = {argument: find(argument) for argument in dict.fromkeys(arguments)}
+    names: dict[str, str] = {}
+    for argument, candidate in found.items():
+        if (other := names.setdefault(candidate.name, argument)) != argument:
+            raise failure("invalid-argument", f"{other} and {argument} are both called {candidate.name}: rename one")
+    return list(found.values())
+
+
+def default_arguments() -> list[str]:
+    """The noisy picture, OIDN twice, and the shipped models."""
+    return [NOISY, *PEERS, *models.available(models.shipped_directories())]
+
+
+def _peer(name: str) -> Candidate:
+    try:
+        identity = version("pyoidn")
+    except PackageNotFoundError:
+        identity = "missing"  # loading it says so
+
+    def load() -> Run:
+        run = PEERS[name]
+        return lambda buffers, scale: run(buffers["color"], buffers.get("albedo"), buffers.get("normal"), scale)
+
+    return Candidate(name, name, frozenset({"color", "albedo", "normal"}), identity, load)
+
+
+def _model(folder: Path) -> Run:
+    from pathfold.denoising import Denoiser
+
+    denoiser = Denoiser(folder)
+    return lambda buffers, exposure: denoiser.run_buffers(buffers, exposure=exposure).color

@@ -1,0 +1,82 @@
+"""The first frame in a fresh process: how long it takes with all that is loaded for it, and the peak memory.
+
+python -m pathfold.report.cold CANDIDATE FOLDER: the buffers are FOLDER/*.npy; prints one line of JSON.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pathfold.report import candidates
+
+TIMEOUT = 1800  # seconds
+
+
+class ColdError(RuntimeError):
+    """The process died or failed; the message says how."""
+
+
+def measure(candidate: candidates.Candidate, buffers: Mapping[str, NDArray[Any]]) -> tuple[float, float]:
+    """Milliseconds from nothing loaded to the first picture, and the MB that this needs above its inputs.
+
+    The inputs are in memory before the clock starts. Raises ColdError.
+    """
+    with TemporaryDirectory(prefix="pathfold-") as folder:
+        for name in candidate.reads & buffers.keys():
+            np.save(Path(folder) / f"{name}.npy", buffers[name])
+        command = [sys.executable, "-m", __name__, candidate.argument, folder]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT)
+        except subprocess.TimeoutExpired:
+            raise ColdError(f"no picture after {TIMEOUT} s") from None
+    if done.returncode:
+        lines = done.stderr.strip().splitlines()
+        killed = f"its process ended with signal {-done.returncode}" if done.returncode < 0 else "it failed"
+        raise ColdError(lines[-1] if lines and done.returncode > 0 else killed)
+    taken = json.loads(done.stdout.splitlines()[-1])
+    return taken["ms"], taken["mb"]
+
+
+def main(argument: str, folder: Path) -> None:
+    sys.modules["torch"] = None  # type: ignore[assignment]  # pyoidn loads it where it is installed: seconds for nothing
+    buffers = {path.name.removesuffix(".npy"): np.load(path) for path in sorted(folder.glob("*.npy"))}
+    candidate = candidates.find(argument)
+    before = _forget_peak()
+    start = perf_counter()
+    candidate.load()(buffers, None)
+    milliseconds = 1000 * (perf_counter() - start)
+    print(json.dumps({"ms": milliseconds, "mb": max(0.0, _peak() - before)}))
+
+
+def _forget_peak() -> float:
+    """Start counting anew where the system can (Linux); the MB in use now."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        return _peak()
+    return _peak()
+
+
+def _peak() -> float:
+    """The most MB that were in use at a time."""
+    status = Path("/proc/self/status")
+    lines = status.read_text().splitlines() if status.exists() else []
+    for line in lines:
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) / 1024
+    import resource  # not on Windows
+
+    unit = 2**20 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))

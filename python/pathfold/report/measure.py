@@ -1,0 +1,165 @@
+"""One measurement: what a candidate made of a noisy frame, how far that is from the reference, and what it cost."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from statistics import fmean, median
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pathfold import metrics
+from pathfold.report import cold
+from pathfold.report.candidates import NOISY, Candidate, Run
+from pathfold.report.reference import Reference
+
+ERRORS = ("rell2", "rell2_paper", "smape", "ssim", "flip")
+
+Image = NDArray[np.float32]
+Buffers = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A noisy frame: its buffers, and the milliseconds that each timed rendering took, without and with descriptors."""
+
+    buffers: Buffers
+    plain_ms: list[float]
+    described_ms: list[float]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One line of results.jsonl. Of a sequence, errors are means over its frames, and times too."""
+
+    scene: str
+    spp: int
+    seed: int
+    method: str
+    rell2: float  # free of the reference's own noise where it came in halves; may then be slightly negative
+    smape: float
+    ssim: float
+    flip: float
+    render_ms: list[float]  # every timed run; with descriptors where the method reads them; empty: not known
+    denoise_ms: list[float]  # every timed run after a warm-up; empty for the noisy picture
+    rell2_paper: float | None = None
+    flicker: float | None = None  # of sequences of three frames and more
+    cold_ms: float | None = None  # of the first seed: see cold.py
+    peak_mb: float | None = None  # likewise
+    frames: int = 1
+    width: int = 0
+    height: int = 0
+    reference_spp: int | None = None
+    reference_rell2: float | None = None  # the reference's own error; None without halves
+    inputs: str = ""  # fingerprint of scene and reference
+    identity: str = ""  # fingerprint of the method
+    run: str = ""  # when the command started
+    machine: str = ""
+    versions: dict[str, str] = field(default_factory=dict)
+    commit: str | None = None
+    load: float | None = None  # of the machine in the minute before
+
+    @property
+    def key(self) -> tuple[str, int, int, str]:
+        return self.scene, self.spp, self.seed, self.method
+
+    def record(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def in_turns(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> dict[Any, list[float]]:
+    """Milliseconds of every run; the calls take turns, so that a busy moment hits all alike."""
+    took: dict[Any, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            start = perf_counter()
+            call()
+            took[name].append(1000 * (perf_counter() - start))
+    return took
+
+
+class Contest:
+    """Candidates on the frames of one scene at one spp and seed: all see the same noisy frames."""
+
+    def __init__(
+        self,
+        candidates: Mapping[str, tuple[Candidate, Run]],
+        *,
+        scale: float,
+        exposure: float | None,
+        rounds: int,
+        complain: Callable[[str, Exception], None],
+    ) -> None:
+        """`scale`: the metrics' exposure; `exposure`: what all frames of a sequence are denoised with.
+
+        A candidate that fails is named to `complain` and left out.
+        """
+        self._candidates = dict(candidates)
+        self._scale, self._exposure, self._rounds, self._complain = scale, exposure, rounds, complain
+        self._tallies = {name: _Tally(scale) for name in candidates}
+
+    def add(self, shot: Shot, reference: Reference, first_seed: bool) -> dict[str, Image]:
+        """Denoise, measure and time one frame; returns the pictures by candidate."""
+        calls: dict[str, Callable[[], Image]] = {}
+        images: dict[str, Image] = {}
+        for name, (candidate, run) in list(self._candidates.items()):
+            tally = self._tallies[name]
+            read = {buffer: shot.buffers[buffer] for buffer in candidate.reads & shot.buffers.keys()}
+            call = lambda run=run, read=read: run(read, self._exposure)  # noqa: E731
+            try:
+                if first_seed and name != NOISY and tally.cold is None:
+                    tally.cold = cold.measure(candidate, read)  # first: a process of its own may die of memory
+                images[name] = call()
+                tally.add(images[name], reference)
+            except Exception as error:  # whatever a method raises is its own failure, not the bench's
+                self._candidates.pop(name)
+                self._tallies.pop(name)
+                images.pop(name, None)
+                self._complain(name, error)
+                continue
+            tally.render_ms.append(shot.described_ms if candidate.reads_paths else shot.plain_ms)
+            if name != NOISY:
+                calls[name] = call
+        for name, took in in_turns(calls, self._rounds).items():
+            self._tallies[name].denoise_ms.append(took)
+        return images
+
+    def results(self) -> Iterator[tuple[Candidate, dict[str, Any]]]:
+        """Errors and times of every candidate that got through, by Measurement's names."""
+        for name, (candidate, _) in self._candidates.items():
+            yield candidate, self._tallies[name].summary()
+
+
+class _Tally:
+    """What one candidate gathers over the frames."""
+
+    def __init__(self, scale: float) -> None:
+        self.cold: tuple[float, float] | None = None
+        self.render_ms: list[list[float]] = []
+        self.denoise_ms: list[list[float]] = []
+        self._scale, self._errors, self._flicker = scale, [], metrics.Flicker(scale)  # type: ignore[var-annotated]
+
+    def add(self, image: Image, reference: Reference) -> None:
+        self._errors.append(reference.errors(image, self._scale))
+        self._flicker.add(image, reference.mean)
+
+    def summary(self) -> dict[str, Any]:
+        errors = {name: fmean(frame[name] for frame in self._errors) for name in self._errors[0]}
+        milliseconds, megabytes = self.cold or (None, None)
+        return errors | {
+            "render_ms": _over_frames(self.render_ms),
+            "denoise_ms": _over_frames(self.denoise_ms),
+            "cold_ms": milliseconds,
+            "peak_mb": megabytes,
+            "flicker": self._flicker.value,
+            "frames": len(self._errors),
+        }
+
+
+def _over_frames(took: list[list[float]]) -> list[float]:
+    """The runs of one frame as they are; of several, the mean over frames of each frame's median."""
+    known = [runs for runs in took if runs]
+    if len(took) == 1 or not known:
+        return [round(run, 3) for runs in known for run in runs]
+    return [round(fmean(median(runs) for runs in known), 3)]

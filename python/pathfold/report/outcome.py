@@ -1,0 +1,85 @@
+"""What a bench leaves behind for people: table.md, plots/, index.html, all made from its measurements."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pathfold.images import replacing
+from pathfold.report import benchpage, plots, summary
+from pathfold.report.answers import Answer, answers
+from pathfold.report.bench import Problem
+from pathfold.report.measure import Measurement
+from pathfold.report.results import ALL, Point, names, over_scenes, points
+
+
+def write(
+    out: Path, measurements: Sequence[Measurement], problems: Sequence[Problem], command: str, pictures: Path
+) -> None:
+    """Write all three into `out`; `command` is what made them, `pictures` where bench.keep_pictures put its files."""
+    scenes = names(measurements, "scene")
+    at, means = points(measurements), over_scenes(measurements) if len(scenes) > 1 else []
+    own = {m.scene: m.reference_rell2 for m in measurements}
+    told = answers(means or at, at)
+    notes = [*summary.notes(measurements), *(f"Left out: {problem}." for problem in problems)]
+    facts = facts_of(measurements, command)
+    lead = headline(means or at, len(scenes))
+    plots.save(out / "plots", means, at, own)
+    tables = summary.markdown(summary.by_method(measurements))
+    markdown = [f"# Error against run time\n\n{lead}\n", *(_section(answer) for answer in told)]
+    markdown.append(f"## Methods, {'means over scenes' if means else scenes[0]}\n\n{tables}")
+    for spp in sorted({m.spp for m in measurements}):
+        tables = summary.markdown(summary.by_scene(measurements, spp))
+        markdown.append(f"## RelL2 at {spp} spp\n\n{tables}")
+    markdown.append("## Notes\n\n" + "".join(f"- {note}\n" for note in notes))
+    markdown.append("".join(f"- {name}: {value}\n" for name, value in facts.items()))
+    with replacing(out / "table.md") as unfinished:
+        unfinished.write_text("\n".join(markdown), encoding="utf-8")
+    benchpage.save(
+        out / "index.html",
+        means,
+        at,
+        told,
+        pictures,
+        own,
+        title="Error against run time" if means else f"{scenes[0]}: error against run time",
+        lead=lead,
+        notes=notes,
+        facts=facts,
+    )
+
+
+def said(measurements: Sequence[Measurement]) -> list[str]:
+    """The answers' sentences, for a terminal."""
+    at = points(measurements)
+    means = over_scenes(measurements) if len(names(at, "scene")) > 1 else at
+    return [sentence for answer in answers(means, at)[:-1] for sentence in answer.sentences]
+
+
+def headline(at: Sequence[Point], scenes: int) -> str:
+    """What was compared, in a sentence."""
+    methods, spps = names(at, "method"), sorted({p.spp for p in at})
+    levels = f"{spps[0]} to {spps[-1]}" if len(spps) > 1 else str(spps[0])
+    subject = f"The {ALL} of {scenes} scenes" if scenes > 1 else "One scene"
+    return f"{subject}, {len(methods)} methods, {levels} samples per pixel."
+
+
+def facts_of(measurements: Sequence[Measurement], command: str) -> dict[str, str]:
+    """On what and how it was made."""
+    sizes = dict.fromkeys(f"{m.width}x{m.height}" for m in measurements)
+    seeds = dict.fromkeys(str(m.seed) for m in measurements)
+    packages = dict.fromkeys(", ".join(f"{name} {number}" for name, number in m.versions.items()) for m in measurements)
+    loads = [m.load for m in measurements if m.load is not None]
+    facts = {
+        "Pictures": f"{', '.join(sizes)}, seeds {', '.join(seeds)}",
+        "Machine": "; ".join(dict.fromkeys(m.machine for m in measurements)),
+        "Load": f"{min(loads):.1f} to {max(loads):.1f} processes wanted the processor" if loads else "",
+        "Software": "; ".join(packages),
+        "Commit": ", ".join(dict.fromkeys(m.commit for m in measurements if m.commit)),
+        "Measured": ", ".join(sorted({m.run for m in measurements})),
+        "Made by": command,
+    }
+    return {name: value for name, value in facts.items() if value}
+
+
+def _section(answer: Answer) -> str:
+    table = f"\n{summary.markdown(answer.table)}" if answer.table else ""
+    return f"## {answer.question}\n\n" + "".join(f"- {sentence}\n" for sentence in answer.sentences) + table
