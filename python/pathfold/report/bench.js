@@ -151,7 +151,10 @@
   }
   function choose(p, side) {
     const scene = p.scene === data.all ? at("pick-scene")?.value : p.scene;
-    if (!data.views[scene]?.some(v => named(v) === named(p))) return;
+    if (!data.views[scene]?.some(v => named(v) === named(p))) {
+      tip.textContent += "\n(its picture is not on this page)";
+      return;
+    }
     at("pick-scene").value = scene;
     pickScene();
     at("pick-" + side).value = named(p);

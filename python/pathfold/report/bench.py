@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pathfold import _core, metrics
 from pathfold.images import OutputError, check_output
-from pathfold.report import candidates, machine, picture, results
+from pathfold.report import candidates, machine, peers, picture, results
 from pathfold.report.candidates import Candidate, Run
 from pathfold.report.measure import Contest, Measurement
 from pathfold.report.reference import Reference, shared_exposure
@@ -156,6 +156,7 @@ def _events(job: Job) -> Any:
 
 def _work(job: Job, sender: Connection) -> None:
     """The process of a job."""
+    peers.keep_torch_out()
     try:
         measure_scene(job, sender.send)
     except KeyboardInterrupt:

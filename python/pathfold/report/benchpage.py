@@ -41,6 +41,8 @@ def save(
             *notes,
             f"To keep the page small it holds pictures at {left_out} only; all lie in the results' folder.",
         ]
+    rows = [summary.cells(point) for point in shown]
+    told = [column for column in range(len(rows[0])) if any(row[column] for row in rows)]
     write_page(
         path,
         "bench.html",
@@ -50,21 +52,21 @@ def save(
         notes=notes,
         facts=facts,
         gain=ERROR_GAIN,
-        header=list(summary.HEADER[:-2]),
+        header=[summary.HEADER[column] for column in told],
         data={
             "all": ALL,
             "scenes": names(shown, "scene"),
             "methods": names(points, "method"),
             "colors": COLORS,
-            "points": [record(point) for point in shown],
+            "points": [record(point, told) for point in shown],
             "flagged": {scene: FLAG * own for scene, own in own_errors.items() if own},
             "views": views,
         },
     )
 
 
-def record(point: Point) -> dict[str, Any]:
-    """A point for the script: errors as [mean, low, high], and its table row."""
+def record(point: Point, columns: Sequence[int]) -> dict[str, Any]:
+    """A point for the script: errors as [mean, low, high], and those columns of its table row."""
     times = {
         "total": point.total_ms,
         "cold": point.cold_total_ms,
@@ -77,7 +79,7 @@ def record(point: Point) -> dict[str, Any]:
         "spp": point.spp,
         "errors": {n: [_short(v) for v in (s.mean, s.low, s.high)] for n, s in point.errors.items() if n in ERRORS},
         "seconds": {name: _short(ms / 1000) for name, ms in times.items() if ms},
-        "row": summary.cells(point),
+        "row": [summary.cells(point)[column] for column in columns],
     }
 
 

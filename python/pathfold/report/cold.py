@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pathfold.report import candidates
+from pathfold.report import candidates, peers
 
 TIMEOUT = 1800  # seconds
 
@@ -46,7 +46,7 @@ def measure(candidate: candidates.Candidate, buffers: Mapping[str, NDArray[Any]]
 
 
 def main(argument: str, folder: Path) -> None:
-    sys.modules["torch"] = None  # type: ignore[assignment]  # pyoidn loads it where it is installed: seconds for nothing
+    peers.keep_torch_out()
     buffers = {path.name.removesuffix(".npy"): np.load(path) for path in sorted(folder.glob("*.npy"))}
     candidate = candidates.find(argument)
     before = _forget_peak()

@@ -1,5 +1,6 @@
 """Open Image Denoise, called as its users call it."""
 
+import sys
 from functools import lru_cache
 from typing import Any
 
@@ -18,6 +19,11 @@ def oidn_prefiltered(color: Image, albedo: Image | None, normal: Image | None, s
     """Quality high with guides denoised first and `cleanAux`: its best."""
     guides = (_prefiltered("albedo", albedo), _prefiltered("normal", normal))
     return _denoise(color, *guides, scale, clean=albedo is not None)
+
+
+def keep_torch_out() -> None:
+    """Keep pyoidn, in a process of our own, from loading torch where it is installed: seconds for nothing."""
+    sys.modules.setdefault("torch", None)  # type: ignore[arg-type]
 
 
 def _denoise(color: Image, albedo: Image | None, normal: Image | None, scale: float | None, clean: bool) -> Image:

@@ -1,0 +1,332 @@
+"""The bench: what it measures on small scenes and pictures, what it keeps, what it says."""
+
+import json
+import math
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jinja2")
+pytest.importorskip("matplotlib")
+pytest.importorskip("flip_evaluator")
+pytest.importorskip("skimage")
+pytest.importorskip("pyoidn")
+
+from pathfold import metrics
+from pathfold.cli import app, console
+from pathfold.images import ImageError
+from pathfold.report import answers, bench, candidates, cold, curves, results, subjects, summary
+from pathfold.report.measure import Measurement, in_turns
+from pathfold.report.reference import Reference
+
+TINY = Path(__file__).parent / "assets" / "library" / "tiny"
+
+
+def measurement(method: str, spp: int, seconds: float, error: float, scene: str = "a", seed: int = 0) -> Measurement:
+    denoise = [] if method == "noisy" else [seconds * 500]
+    render = [seconds * (1000 if method == "noisy" else 500)]
+    return Measurement(scene, spp, seed, method, error, 0.1, 0.9, 0.05, render, denoise, reference_rell2=1e-6)
+
+
+@pytest.fixture
+def measured() -> list[Measurement]:
+    """Noisy halves its error with each doubling of time; `clean` costs a second more and has a tenth of the error."""
+    noisy = [measurement("noisy", n, n / 4, 1 / n) for n in (1, 2, 4, 8, 16, 32)]
+    return [*noisy, *(measurement("clean", n, n / 4 + 1, 0.1 / n) for n in (1, 2, 4, 8, 16, 32))]
+
+
+def of(measured: list[Measurement], method: str) -> list[results.Point]:
+    return [point for point in results.points(measured) if point.method == method]
+
+
+def test_between_measured_points_curves_are_straight_in_log_log(measured: list[Measurement]) -> None:
+    noisy = of(measured, "noisy")
+    assert curves.error_at(noisy, math.sqrt(0.5)) == curves.Reached(pytest.approx(1 / math.sqrt(8)))
+    assert curves.time_to(noisy, 1 / 6) == curves.Reached(pytest.approx(6 / 4))
+
+
+def test_nothing_is_extrapolated(measured: list[Measurement]) -> None:
+    noisy = of(measured, "noisy")
+    assert curves.error_at(noisy, 0.2) is None  # before the first point
+    assert curves.error_at(noisy, 100) == curves.Reached(pytest.approx(1 / 32), bound=True)  # it had this by then
+    assert curves.time_to(noisy, 0.001) is None
+    assert curves.time_to(noisy, 2) == curves.Reached(pytest.approx(0.25), bound=True)
+    text = " ".join(answers.paying({m: of(measured, m) for m in ("noisy", "clean")}).sentences)
+    assert "at 32 spp the noisy curve would have to be extrapolated" in text
+    # 1 spp of clean takes 1.25 s, in which noisy reaches 5 spp: 0.2 against 0.1
+    assert "clean pays as far as was measured" in text and "2 times at 1 spp" in text
+
+
+def test_where_denoising_stops_paying_is_said() -> None:
+    noisy = [measurement("noisy", n, n, 1 / n) for n in (1, 2, 4, 8, 16)]
+    biased = [measurement("biased", n, n + 0.5, 0.2) for n in (1, 2, 4, 8)]
+    points = results.points([*noisy, *biased])
+    told = answers.paying({m: [p for p in points if p.method == m] for m in ("noisy", "biased")}).sentences
+    assert len(told) == 1 and "stops at 8 spp" in told[0]
+    slow = results.points([*noisy, *(measurement("slow", n, n + 6, 0.5 / n) for n in (1, 8))])
+    told = answers.paying({m: [p for p in slow if p.method == m] for m in ("noisy", "slow")}).sentences
+    assert "from 8 spp on" in told[0]
+
+
+def test_at_equal_time_and_error_the_ratio_is_told(measured: list[Measurement]) -> None:
+    equal_time, equal_error, _, pick = answers.answers(results.points(measured), results.points(measured))
+    assert any("In 5 s clean reaches RelL2 0.0063: 8 times less than noisy." in s for s in equal_time.sentences)
+    assert "clean comes down to RelL2 0.1 in 1.25 s: 2 times faster than noisy." in equal_error.sentences
+    assert pick.table[1][0] == "a" and "noisy, 2 spp (0.5000)" in pick.table[1]
+
+
+def test_what_is_better_from_its_first_point_on_wins_by_at_least_so_much(measured: list[Measurement]) -> None:
+    best = [measurement("best", 1, 0.5, 0.001), measurement("best", 2, 0.6, 0.0005)]
+    points = results.points([*measured, *best])
+    equal_error = answers.answers(points, points)[1]
+    told = (
+        "best comes down to RelL2 0.1 in \N{LESS-THAN OR EQUAL TO} 500 ms: at least 5 times faster than noisy and at "
+    )
+    assert told + "least 2.5 times faster than clean." in equal_error.sentences
+
+
+def test_the_front_holds_what_nothing_beats(measured: list[Measurement]) -> None:
+    front = curves.pareto(results.points([*measured, measurement("worse", 1, 9, 9)]))
+    assert [(p.method, p.spp) for p in front[:5]] == [("noisy", n) for n in (1, 2, 4)] + [("clean", n) for n in (1, 2)]
+    assert all(p.method == "clean" for p in front[3:])
+
+
+def test_means_are_over_the_same_scenes_and_ranges_over_seeds() -> None:
+    rows = [measurement("noisy", 1, 1, e, s, seed) for s, e in (("a", 1.0), ("b", 4.0)) for seed in (0, 1)]
+    rows = [replace(m, rell2=m.rell2 * (1 + m.seed)) for m in rows]
+    rows.append(measurement("half", 1, 1, 0.1, "a"))  # failed on b: its mean would be of another set
+    (mean,) = results.over_scenes(rows)
+    assert (mean.method, mean.scenes) == ("noisy", 2)
+    spread = mean.errors["rell2"]
+    assert (spread.mean, spread.low, spread.high) == pytest.approx((2 * math.sqrt(2), 2, 4))
+    negative = results.points([measurement("x", 1, 1, -1e-5)])[0]
+    assert negative.rell2 == pytest.approx(results.FLOOR)  # as good as its reference
+
+
+def test_scene_table_flags_and_counts_wins() -> None:
+    rows = [measurement("noisy", 1, 1, 1.0, scene) for scene in "ab"]
+    rows += [measurement("x", 1, 1, 0.1, "a"), measurement("x", 1, 1, 2.0, "b")]
+    rows = [replace(m, reference_rell2=0.01 if m.scene == "a" else 1e-4) for m in rows]
+    table = {row[0]: row[1:] for row in summary.by_scene(rows, 1)}
+    assert table["a"][-1] == "within 20 times the reference's own error" and table["b"][-1] == ""
+    assert table["wins"][:2] == ["1", "1"]
+    assert table["worst, against the best"][:2] == ["10 (a)", "2 (b)"]
+    assert any("a at 1 spp" in note for note in summary.notes(rows))
+
+
+def test_calls_take_turns() -> None:
+    order: list[str] = []
+    took = in_turns({name: lambda name=name: order.append(name) for name in "ab"}, 3)  # type: ignore[misc]
+    assert order == list("ababab") and [len(runs) for runs in took.values()] == [3, 3]
+
+
+def test_a_reference_is_read_as_written_and_its_noise_left_out(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(0.2, 1, (64, 64, 3)).astype(np.float32)
+    a, b = (truth + rng.normal(0, 0.03, truth.shape).astype(np.float32) for _ in range(2))
+    Reference((a + b) / 2, (a, b), 64, 9).save(tmp_path / "reference.exr")
+    read = Reference.read(tmp_path / "reference.exr")
+    assert (read.spp, read.max_depth, read.size) == (64, 9, (64, 64))
+    np.testing.assert_array_equal(read.halves, (a, b))
+    errors = read.errors(truth)
+    assert abs(errors["rell2"]) < 0.1 * metrics.rell2(truth, (a + b) / 2)
+    assert read.own_error == pytest.approx(metrics.rell2((a + b) / 2, truth), rel=0.1)
+    cut = tuple(half[28:-28, 28:-28] for half in (a, b))
+    assert errors["rell2_paper"] == pytest.approx(metrics.rell2_halves(truth[28:-28, 28:-28], *cut, epsilon=1e-4))
+    with pytest.raises(ValueError, match="1 pixels are not finite"):
+        read.errors(np.where(np.arange(64 * 64 * 3).reshape(64, 64, 3) == 0, np.nan, truth))
+
+
+def test_results_outlive_a_cut_line_but_no_nonsense(tmp_path: Path, measured: list[Measurement]) -> None:
+    path = tmp_path / "results.jsonl"
+    results.write(path, measured)
+    assert list(results.read(path).values()) == measured
+    whole = path.read_text()
+    path.write_text(whole[:-40])
+    assert len(results.read(path)) == len(measured) - 1
+    path.write_text("{}\n" + whole)
+    with pytest.raises(ImageError, match="line 1: is no measurement"):
+        results.read(path)
+
+
+def test_peak_memory_and_cold_time_of_a_fresh_process(tiny: Path) -> None:
+    rng = np.random.default_rng(0)
+    names = ("color", "albedo", "normal")
+    small, large = ({n: rng.uniform(0, 1, (s, s, 3)).astype(np.float32) for n in names} for s in (32, 640))
+    oidn = candidates.find("oidn")
+    (ms, mb), (_, more) = (cold.measure(oidn, buffers) for buffers in (small, large))
+    assert ms > 1 and more > mb + 20  # 400 times the pixels; weights and code are the same
+    with pytest.raises(cold.ColdError, match="color"):
+        cold.measure(candidates.find("split-5"), {})
+
+
+def test_names_that_are_no_method_or_scene(tiny: Path, tmp_path: Path) -> None:
+    with pytest.raises(Exception, match=r"nonsense.*besides models there are noisy, oidn, oidn-prefiltered"):
+        candidates.find_all(["nonsense"])
+    shutil.copytree(tiny / "split-5", tmp_path / "split-5")
+    with pytest.raises(Exception, match="both called split-5"):
+        candidates.find_all(["split-5", str(tmp_path / "split-5")])
+    with pytest.raises(subjects.SubjectError, match=r"holds no such thing.*scene\.xml"):
+        subjects.find(tmp_path, subjects.Options())
+    with pytest.raises(subjects.SubjectError, match="is not there"):
+        subjects.find(tmp_path / "x", subjects.Options())
+
+
+@pytest.fixture
+def run(tiny: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Run a command line in this process: (exit code, stdout, stderr)."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["pathfold", *map(str, arguments)])
+        capsys.readouterr()
+        code = console.run(app)
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+def records(folder: Path) -> list[dict]:
+    return [json.loads(line) for line in (folder / "results.jsonl").read_text().splitlines()]
+
+
+def test_a_scene_is_measured_and_what_is_measured_is_kept(run, tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
+    out = tmp_path / "out"
+    command = ["bench", TINY, "--seeds", 2, "--reference-spp", 64, "-o", out, "--spp", "1,2"]
+    command += ["--methods", "noisy,oidn,samples-5"]
+    code, told, err = run(*command)
+    assert (code, err) == (0, ""), err
+    assert "index.html" in told
+    first = records(out)
+    assert {(r["spp"], r["seed"], r["method"]) for r in first} == {
+        (n, seed, method) for n in (1, 2) for seed in (0, 1) for method in ("noisy", "oidn", "samples-5")
+    }
+    for record in first:
+        assert record["scene"] == "tiny" and (record["width"], record["height"]) == (48, 27)
+        assert all(math.isfinite(record[name]) for name in ("rell2", "smape", "ssim", "flip"))
+        assert record["render_ms"] and bool(record["denoise_ms"]) == (record["method"] != "noisy")
+        measured_cold = record["method"] != "noisy" and record["seed"] == 0
+        assert (record["cold_ms"] is not None) == (record["peak_mb"] is not None) == measured_cold
+        assert record["reference_spp"] == 64 and 0 < record["reference_rell2"] < 1
+        assert record["machine"] and record["versions"]["pathfold"]
+    render = {(r["spp"], r["seed"], r["method"]): r["render_ms"] for r in first}
+    assert render[2, 0, "noisy"] == render[2, 0, "oidn"] != render[2, 0, "samples-5"]  # descriptors cost their reader
+    rell2 = {(r["spp"], r["seed"]): r["rell2"] for r in first if r["method"] == "noisy"}
+    assert rell2[2, 0] < rell2[1, 0] and rell2[1, 0] != rell2[1, 1]
+    names = {path.name for path in out.iterdir()}
+    assert names == {"results.jsonl", "table.md", "index.html", "plots", "pictures", "references"}
+    assert {path.name for path in (out / "plots").iterdir()} == {"tiny.png", "tiny.svg"}
+    page = (out / "index.html").read_text()
+    assert "http://www.w3.org/2000/svg" in page  # the only address, a name that nothing is fetched from
+    assert page.count("http") == 1 and len(page) < 4_000_000 and "data:image/jpeg;base64," in page
+
+    lines = (out / "results.jsonl").read_text().splitlines()
+    lost = [line for line in lines if '"seed": 1' in line and '"spp": 2' in line]
+    (out / "results.jsonl").write_text("\n".join(line for line in lines if line not in lost) + '\n{"scene": "ti')
+    assert run(*command)[0] == 0
+    again = {(r["spp"], r["seed"], r["method"]): r for r in records(out)}
+    kept = [r for r in first if (r["spp"], r["seed"]) != (2, 1)]
+    assert all(again[r["spp"], r["seed"], r["method"]] == r for r in kept)
+    for old in (json.loads(line) for line in lost):  # equal seeds, equal pictures
+        new = again[old["spp"], old["seed"], old["method"]]
+        assert new["run"] > old["run"] and new["rell2"] == pytest.approx(old["rell2"], rel=1e-3)
+
+
+def noisy_exr(path: Path, truth: np.ndarray, spp: int, seed: int, **header: float) -> None:
+    rng = np.random.default_rng((seed, spp))
+    guides = np.full((*truth.shape[:2], 6), 0.5, np.float32)
+    color = (truth * rng.gamma(spp, 1 / spp, truth.shape)).astype(np.float32)
+    names = [*"RGB", *(f"albedo.{c}" for c in "RGB"), *(f"normal.{c}" for c in "XYZ")]
+    from pathfold.images import NewPart, write_parts
+
+    values = np.concatenate([color, guides], -1)
+    part = NewPart("", names, ["float"] * 9, (truth.shape[1], truth.shape[0]), lambda first, last: values[first:last])
+    write_parts(path, [part], {f"pathfold:{name}": value for name, value in header.items()})
+
+
+def test_pictures_and_sequences(run, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    folder = tmp_path / "shot"
+    folder.mkdir()
+    for frame in (1, 2, 3):
+        truth = rng.uniform(0.2, 1, (32, 40, 3)).astype(np.float32)
+        Reference(truth).save(folder / f"reference.{frame:04d}.exr")
+        for spp in (2, 8):
+            noisy_exr(folder / f"{spp}spp.{frame:04d}.exr", truth, spp, frame, render_seconds=spp / 10)
+    out = tmp_path / "out"
+    code, _, err = run("bench", folder, "-o", out, "--methods", "noisy,oidn,samples-5")
+    assert code == 1 and "samples-5" in err and "samples.descriptor" in err  # it needs what the files do not hold
+    found = records(out)
+    assert {(r["spp"], r["method"], r["frames"]) for r in found} == {
+        (n, m, 3) for n in (2, 8) for m in ("noisy", "oidn")
+    }
+    assert {r["spp"]: r["render_ms"] for r in found} == {2: [pytest.approx(200)], 8: [pytest.approx(800)]}
+    flicker = {(r["spp"], r["method"]): r["flicker"] for r in found}
+    assert flicker[2, "noisy"] > 1.5 * flicker[8, "noisy"] > 0  # noise of a quarter of the variance
+    assert "flicker" in (out / "table.md").read_text()
+    one = tmp_path / "one"
+    assert run("bench", folder / "8spp.####.exr", "-o", one, "--methods", "noisy")[0] == 0
+    assert {r["spp"] for r in records(one)} == {8} and {r["scene"] for r in records(one)} == {"shot-8spp"}
+
+
+def test_what_fails_is_told_and_the_rest_goes_on(run, tmp_path: Path) -> None:
+    for name in ("good", "bad"):
+        (tmp_path / "all" / name).mkdir(parents=True)
+        truth = np.random.default_rng(0).uniform(0.2, 1, (16, 16, 3)).astype(np.float32)
+        Reference(truth).save(tmp_path / "all" / name / "reference.exr")
+        noisy_exr(tmp_path / "all" / name / "4spp.exr", truth, 4, 0)
+    (tmp_path / "all" / "bad" / "4spp.exr").write_text("no picture")
+    code, _, err = run("bench", tmp_path / "all", "-o", tmp_path / "out", "--methods", "noisy")
+    assert code == 1 and "left out: bad" in err
+    assert {r["scene"] for r in records(tmp_path / "out")} == {"good"}
+    table = (tmp_path / "out" / "table.md").read_text()
+    assert "Left out: bad" in table
+    assert not list((tmp_path / "out" / "plots").iterdir())  # nobody told how long the rendering took
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--spp", "1,x"], 3, "--spp 1,x: write whole numbers"),
+        (["--methods", "nonsense"], 4, "besides models there are"),
+    ],
+)
+def test_wrong_arguments(run, tmp_path: Path, arguments: list[str], code: int, words: str) -> None:
+    found, _, err = run("bench", TINY, "-o", tmp_path / "out", *arguments)
+    assert found == code and words in err and len(err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_process_that_dies_costs_its_scene_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    subject = subjects.MitsubaSubject(TINY / "scene.xml", "tiny", subjects.Options(spps=(1,), seeds=1))
+    job = bench.Job(subject, {(1, 0): ["noisy"]}, ("noisy",), tmp_path, "now")
+    monkeypatch.setattr(bench, "_work", dies)
+    *_, problem, last = list(bench._events(job))
+    assert "exit code 7" in str(problem) and last.work == job.work
+
+
+def dies(*_: object) -> None:
+    sys.exit(7)
+
+
+def test_evaluate_goes_the_same_way(tmp_path: Path, tiny: Path) -> None:
+    pytest.importorskip("mitsuba")
+    evaluate = pytest.importorskip("pathfold_training.evaluate")
+    folder = tmp_path / "scenes" / "tiny"
+    shutil.copytree(TINY, folder)
+    truth = np.full((27, 48, 3), 0.5, np.float32)
+    Reference(truth, (truth, truth), 16, 3).save(folder / "reference.exr")
+    vanilla, manifold = (tmp_path / "models" / name for name in ("kpcn-vanilla", "kpcn-manifold"))
+    shutil.copytree(tiny / "split-5", vanilla)
+    shutil.copytree(tiny / "samples-5", manifold)
+    rows = evaluate.evaluate(tmp_path / "scenes", tmp_path / "out", [str(vanilla), str(manifold)], spp=1, seeds=1)
+    by = {row.method: row.rell2 for row in rows}
+    assert list(by) == ["noisy", "oidn", "oidn-prefiltered", "kpcn-vanilla", "kpcn-manifold"]
+    table = (tmp_path / "out" / "table.md").read_text()
+    assert f"| **all** | | **{by['kpcn-manifold'] / by['kpcn-vanilla']:.3f}** |" in table
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"results.jsonl", "table.md", "tiny-1spp.jpg"}
