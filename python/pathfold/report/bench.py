@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pathfold import _core, metrics
+from pathfold import auto_exposure, metrics
 from pathfold.images import OutputError, check_output
 from pathfold.report import candidates, machine, peers, picture, results
 from pathfold.report.candidates import Candidate, Run
@@ -225,7 +225,7 @@ def measure_unit(
         shot = subject.shoot(frame, spp, seed, described, reference.size)
         if contest is None:
             color = np.ascontiguousarray(shot.buffers["color"])
-            exposure = _core.auto_exposure(color) if len(references) > 1 else None
+            exposure = auto_exposure(color) if len(references) > 1 else None
             rounds = subject.options.rounds
             contest = Contest(chosen, scale=scale, exposure=exposure, rounds=rounds, complain=complain)
         images = contest.add(shot, reference, seed == min(s for p, s in subject.units() if p == spp))
