@@ -226,9 +226,14 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_output(path: str | os.PathLike[str]) -> None:
-    """Raise OutputError now, not after long work, where `path` could not be written."""
+    """Raise OutputError now, not after long work, where a picture could not be written to `path`."""
     if oiio.ImageOutput.create(str(path)) is None:
         raise OutputError(f"{path}: {_first_line(oiio.geterror())}; name it .exr")
+    check_writable(path)
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError where a file of any kind could not be written to `path`."""
     _placeholder(Path(path)).unlink()
 
 

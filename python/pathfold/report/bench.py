@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold import auto_exposure, metrics
-from pathfold.images import OutputError, check_output
+from pathfold.images import OutputError, check_writable
 from pathfold.report import candidates, machine, peers, picture, results
 from pathfold.report.candidates import Candidate, Run
 from pathfold.report.measure import Contest, Measurement
@@ -266,7 +266,7 @@ def make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{out}: cannot be made: {error.strerror}") from error
-    check_output(out / RESULTS)
+    check_writable(out / RESULTS)
 
 
 def _words(error: Exception) -> str:

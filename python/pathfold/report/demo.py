@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pathfold import Denoiser, metrics
 from pathfold.cli import console
 from pathfold.cli.render import parse_size
-from pathfold.images import OutputError, check_output
+from pathfold.images import OutputError, check_writable
 from pathfold.rendering import load_mitsuba
 from pathfold.report import Method, page, peers, picture, tables
 from pathfold.report.machine import machine, versions
@@ -168,7 +168,7 @@ def make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{out}: cannot be made: {error.strerror}") from error
-    check_output(out / "index.html")
+    check_writable(out / "index.html")
 
 
 def write(out: Path, methods: list[Method], spp: int, notes: list[str], facts: dict[str, str]) -> None:
