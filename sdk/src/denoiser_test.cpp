@@ -37,7 +37,7 @@ struct Scene {
         scene.buffers.emplace("depth", noise(height, width, 1, ++seed));
         scene.buffers.emplace("alpha", noise(height, width, 1, ++seed));
         for (float &value : scene.buffers.at("normal").values)
-            value -= 1;
+            value = std::min(value - 1, 1.0f);
         scene.settings.exposure = 0.5f;
         return scene;
     }

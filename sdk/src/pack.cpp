@@ -125,7 +125,7 @@ void Packer::pack_guide(const std::string &input, const std::string &buffer) {
         return;
     }
     const ImageView &view = frame_.input(buffer);
-    const bool keeps_sign = buffer == "normal";
+    const Range range = guide_range(buffer);
     oneapi::tbb::combinable<Counts> row_counts;
     for_rows(threads_, window.height, [&](int y) {
         std::vector<float> pixels(size_t(window.width) * channels);
@@ -133,8 +133,7 @@ void Packer::pack_guide(const std::string &input, const std::string &buffer) {
         // The core's part by itself, so that each pixel is counted once.
         const int left = core.x - window.x, right = left + core.width, row = window.y + y;
         const auto sanitise = [&](int begin, int end) {
-            return sanitise_guide(pixels.data() + size_t(begin) * channels, end - begin, channels,
-                                  keeps_sign);
+            return sanitise_guide(pixels.data() + size_t(begin) * channels, end - begin, channels, range);
         };
         sanitise(0, left);
         const Counts found = sanitise(left, right);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numeric>
 
 #include <oneapi/tbb/combinable.h>
@@ -121,6 +122,9 @@ double bright_level(const std::vector<Bin> &bins) {
     return *at;
 }
 
+/// Keeps a factor a normal float, whatever the image.
+float within_floats(double factor) { return float(std::clamp(factor, 1e-37, 1e37)); }
+
 /// exp(-mean(ln depth)) over finite depths > 0; 1 where there is none.
 float find_depth_scale(const ImageView &depth, Threads &threads) {
     struct Sum {
@@ -138,7 +142,7 @@ float find_depth_scale(const ImageView &depth, Threads &threads) {
     Sum all;
     for (const Sum &sum : sums)
         all.logs += sum.logs, all.count += sum.count;
-    return all.count > 0 ? float(std::exp(-all.logs / double(all.count))) : 1.0f;
+    return all.count > 0 ? within_floats(std::exp(-all.logs / double(all.count))) : 1.0f;
 }
 
 /// What the branch divides radiance by, at every pixel.
@@ -148,7 +152,7 @@ Planes load_factor(const Frame &frame, const Branch &branch, Threads &threads) {
     Counts counted_by_packer;
     const ImageView &view = frame.input(branch.demodulate_by);
     return load(view, threads, counted_by_packer, [&](float *pixels, int, Counts &) {
-        sanitise_guide(pixels, view.width(), view.channels(), false);
+        sanitise_guide(pixels, view.width(), view.channels(), guide_range(branch.demodulate_by));
         for (int i = 0; i < view.width() * view.channels(); ++i)
             pixels[i] += branch.epsilon;
     });
@@ -233,15 +237,23 @@ Counts &Counts::operator+=(const Counts &other) {
     return *this;
 }
 
-Counts sanitise_guide(float *pixels, int count, int channels, bool keeps_sign) {
+Range guide_range(const std::string &buffer) {
+    if (buffer == "normal")
+        return {-1, 1};
+    if (buffer == "albedo" || buffer == "diffuse.albedo")
+        return {0, 1e4f}; // times the radiance cap / 0.00316 it is still a float
+    return {0, std::numeric_limits<float>::max()};
+}
+
+Counts sanitise_guide(float *pixels, int count, int channels, Range range) {
     Counts counts;
     for (int i = 0; i < count; ++i) {
         bool non_finite = false, negative = false;
         for (float *value = pixels + size_t(i) * channels, *end = value + channels; value != end; ++value) {
             if (!std::isfinite(*value))
                 *value = 0, non_finite = true;
-            if (*value < 0 && !keeps_sign)
-                *value = 0, negative = true;
+            negative = negative || (*value < 0 && range.least == 0);
+            *value = std::clamp(*value, range.least, range.most);
         }
         counts.non_finite += non_finite;
         counts.negative += negative;
@@ -286,8 +298,7 @@ float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<
             logs += std::log2(std::min(bin.mean, bright_bin * bright)), ++count;
     if (count == 0)
         return 1.0f;
-    const double exposure = key / std::exp2(logs / double(count));
-    return float(std::clamp(exposure, 1e-37, 1e37)); // stays a normal float, whatever the image
+    return within_floats(key / std::exp2(logs / double(count)));
 }
 
 Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, Threads &threads) {

@@ -59,8 +59,17 @@ float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<
 Planes load_radiance(const ImageView &view, bool keeps_sign, std::vector<uint8_t> &valid, Threads &threads,
                      Counts &counts);
 
-/// Makes non-finite values 0, and negative ones too unless `keeps_sign`. Interleaved pixels, in place.
-/// Returns how many pixels were not finite and how many negative.
-Counts sanitise_guide(float *pixels, int count, int channels, bool keeps_sign);
+/// What the values of a guide are brought into.
+struct Range {
+    float least, most;
+};
+
+/// Normals [-1, 1]; albedos [0, 1e4], so that what is divided by them can be multiplied again in float32;
+/// else >= 0.
+Range guide_range(const std::string &buffer);
+
+/// Makes non-finite values 0 and clamps the others. Interleaved pixels, in place.
+/// Returns how many pixels were not finite and how many negative where that may not be.
+Counts sanitise_guide(float *pixels, int count, int channels, Range range);
 
 } // namespace pathfold::core

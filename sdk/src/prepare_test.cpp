@@ -144,6 +144,45 @@ TEST(Prepare, DepthScaleLeavesMissesOut) {
     EXPECT_EQ(prepare(frame, manifest_of("single-3"), 0, threads).depth_scale, 1.0f); // does not read it
 }
 
+TEST(Prepare, DepthScaleStaysAFloat) {
+    const Pixels color = noise(4, 4, 3, 1);
+    Threads threads;
+    for (float value : {1e-45f, 3e38f}) {
+        Pixels depth(4, 4, 1, value);
+        depth.at(0, 0, 0) = 0; // times infinity would be NaN
+        Frame frame;
+        const pathfold_image images[] = {color.image(), depth.image()};
+        frame.set_input("color", &images[0]);
+        frame.set_input("depth", &images[1]);
+        EXPECT_TRUE(std::isnormal(prepare(frame, manifest_of("split-5"), 0, threads).depth_scale)) << value;
+    }
+}
+
+TEST(Prepare, RemodulationStaysAFloat) {
+    SplitFrame split;
+    split.albedo.at(3, 4, 0) = std::numeric_limits<float>::max();
+    split.diffuse.at(5, 6, 1) = std::numeric_limits<float>::max();
+    split.albedo.at(5, 6, 1) = 0;
+    split.set();
+    Threads threads;
+    const Prepared prepared = prepare(split.frame, manifest_of("split-5"), 1e-6f, threads);
+    const Planes &factor = prepared.branches[0].factor;
+    const float brightest = prepared.signals[0].values.row(1, 5)[6] / factor.row(1, 5)[6];
+    EXPECT_TRUE(std::isfinite(brightest * factor.row(0, 3)[4]));
+}
+
+TEST(Prepare, GuidesAreBroughtIntoTheirRange) {
+    const float given[] = {nan, -infinity, -3, -0.5f, 0.25f, 3e38f};
+    const auto sanitised = [&](const char *buffer) {
+        std::vector<float> values(std::begin(given), std::end(given));
+        sanitise_guide(values.data(), int(values.size()), 1, guide_range(buffer));
+        return values;
+    };
+    EXPECT_EQ(sanitised("normal"), (std::vector<float>{0, 0, -1, -0.5f, 0.25f, 1}));
+    EXPECT_EQ(sanitised("albedo"), (std::vector<float>{0, 0, 0, 0, 0.25f, 1e4f}));
+    EXPECT_EQ(sanitised("depth"), (std::vector<float>{0, 0, 0, 0, 0.25f, 3e38f}));
+}
+
 TEST(Prepare, AnUnsplitLayerMakesTheFrameUnsplit) {
     SplitFrame split;
     split.set();
