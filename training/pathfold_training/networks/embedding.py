@@ -77,7 +77,8 @@ class PathEmbedding(nn.Module):
         sample = self.sample(features)
         context = self.head_context(self.context(sample_mean(sample, valid, counts)))
         hidden = torch.relu(self.head_sample(sample) + per_sample(context, counts))
-        return functional.softplus(self.head(hidden).float())
+        embedding = self.head(hidden)
+        return functional.softplus(embedding.to(torch.promote_types(embedding.dtype, torch.float32)))
 
 
 def sample_sum(x: Tensor, counts: list[int] | None = None) -> Tensor:
