@@ -1,7 +1,7 @@
 """A checkpoint becomes a model folder, and torch, onnxruntime and the SDK agree on it."""
 
 import json
-import tomllib
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,12 @@ import numpy as np
 import onnxruntime
 import pytest
 import torch
+from pathfold.check import check_model, references
+from pathfold.check.cases import CASES
+from pathfold.check.measure import relative_error, tolerance
+from pathfold.check.properties import Subject
+from pathfold.check.references import References
+from pathfold.check.run import case_row
 from pathfold.denoising import Denoiser
 from pathfold_training.config import Config, Data, Network, Optimiser
 from pathfold_training.data import Batch
@@ -20,7 +26,6 @@ from pathfold_training.networks.reconstruct import gather
 from pathfold_training.task import Denoising
 from training_data import write_data_set
 
-TOLERANCES = tomllib.loads((Path(__file__).parent / "tolerances.toml").read_text())
 NAMES = ("color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth")
 VARIANCES = ("variance", "diffuse.variance", "specular.variance")
 
@@ -110,16 +115,12 @@ def torch_frame(task: Denoising, buffers: dict[str, np.ndarray], exposure: float
         return task.denoise(Batch(inputs, reference, counts))[0].permute(1, 2, 0).numpy()
 
 
-def relative(a: np.ndarray, b: np.ndarray) -> float:
-    return float((np.abs(a - b) / np.maximum(np.abs(b), 1e-3 * np.abs(b).max() + 1e-30)).max())
-
-
 @pytest.mark.parametrize("case", ["plain", "firefly", "dark", "black albedo", "densities", "dead paths"])
 def test_sdk_equals_torch(exported: tuple[Path, Denoising], case: str) -> None:
     folder, task = exported
     buffers = adversarial(frame(37, 50, 3, seed=1), case)
     result = Denoiser(folder).run_buffers(buffers, exposure=0.8)
-    assert relative(result.color, torch_frame(task, buffers, 0.8)) < TOLERANCES["parity_chain"]["value"]
+    assert relative_error(result.color, torch_frame(task, buffers, 0.8))[0] < tolerance("chain.fp32")
 
 
 @pytest.mark.parametrize(("height", "width", "samples"), [(1, 1, 1), (1, 9, 2), (5, 3, 4), (40, 33, 7)])
@@ -127,7 +128,37 @@ def test_any_size_and_sample_count(exported: tuple[Path, Denoising], height: int
     folder, task = exported
     buffers = frame(height, width, samples, seed=height)
     result = Denoiser(folder).run_buffers(buffers, exposure=1.3)
-    assert relative(result.color, torch_frame(task, buffers, 1.3)) < TOLERANCES["parity_chain"]["value"]
+    assert relative_error(result.color, torch_frame(task, buffers, 1.3))[0] < tolerance("chain.fp32")
+
+
+def test_check_measures_against_the_exported_references(exported: tuple[Path, Denoising]) -> None:
+    folder, task = exported
+    report = check_model(folder)
+    assert report.passed, [(row.name, row.reason) for row in report.rows if row.reason]
+    assert not report.note
+    measured = [row for row in report.rows if row.name in {case.name for case in CASES}]
+    assert len(measured) == len(CASES) - (0 if task.config.network.embedding else 7)
+    assert all(row.error is not None and row.allowed is not None for row in measured)
+    assert max(row.error or 0.0 for row in measured) > 0  # float32 is not float64
+    assert (folder / references.FILE).stat().st_size < 300_000
+
+
+def test_check_finds_what_does_not_agree(exported: tuple[Path, Denoising], tmp_path: Path) -> None:
+    folder = shutil.copytree(exported[0], tmp_path / "model")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    kept = references.read(folder, manifest)
+    assert kept is not None
+    off, lacking = dict(kept.images), dict(kept.images)
+    off["plain"] = off["plain"].copy()
+    off["plain"][3, 4] *= 1.001
+    del lacking["plain"]
+    for images, reason, worst in ((off, "error above", (3, 4)), (lacking, "has no reference", None)):
+        references.write(folder, manifest, References(images, kept.frames, kept.logits))
+        row = case_row(Subject(folder, "cpu"), CASES[0], references.read(folder, manifest))
+        assert row.name == "plain" and reason in row.reason and row.worst == worst
+    manifest["graphs"]["diffuse"] = manifest["graphs"]["specular"]
+    with pytest.raises(references.ReferencesError, match="other weights"):
+        references.read(folder, manifest)
 
 
 def test_tiles_make_no_difference(exported: tuple[Path, Denoising]) -> None:
@@ -136,7 +167,7 @@ def test_tiles_make_no_difference(exported: tuple[Path, Denoising]) -> None:
     whole = Denoiser(folder).run_buffers(buffers)
     tiled = Denoiser(folder, tile=64).run_buffers(buffers)
     assert tiled.report["tiles"] > whole.report["tiles"]
-    assert relative(tiled.color, whole.color) < TOLERANCES["tiles"]["value"]
+    assert relative_error(tiled.color, whole.color)[0] < tolerance("tiles")
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e-2, 1e3, 1e6])
@@ -152,7 +183,7 @@ def test_scaled_radiance_gives_the_scaled_picture(exported: tuple[Path, Denoisin
     scaled["samples.descriptor"][..., :6] = np.where(light > -99, light + np.log(np.float32(scale)), light)
     denoiser = Denoiser(folder)
     expected = denoiser.run_buffers(buffers).color * scale
-    assert relative(denoiser.run_buffers(scaled).color, expected) < TOLERANCES["scale"]["value"]
+    assert relative_error(denoiser.run_buffers(scaled).color, expected)[0] < tolerance("scale")
 
 
 def test_only_beauty_is_a_case(exported: tuple[Path, Denoising]) -> None:
@@ -180,7 +211,7 @@ def test_standalone_graph_holds_the_reconstruction(exported: tuple[Path, Denoisi
             expected = (filtered * factor).numpy()
         session = onnxruntime.InferenceSession(folder / f"{name}-standalone.onnx")
         (out,) = session.run(None, {n: v.numpy() for n, v in inputs.items()})
-        assert relative(out, expected) < TOLERANCES["standalone"]["value"]
+        assert relative_error(out, expected)[0] < tolerance("standalone")
 
 
 def test_manifest_and_card_say_how_it_was_made(exported: tuple[Path, Denoising]) -> None:

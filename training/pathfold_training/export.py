@@ -1,4 +1,4 @@
-"""`pathfold-train export`: a checkpoint becomes a model folder (one ONNX graph per branch, manifest, model card)."""
+"""`pathfold-train export`: a checkpoint becomes a model folder (ONNX graphs, manifest, model card, references)."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from .features import DEMODULATION_EPSILON, DESCRIPTOR_CHANNELS, OPTIONAL
 from .fit import training_seconds
 from .networks import embedding
 from .networks.kpcn import BRANCHES, Branch, macs_per_pixel, overlap
+from .references import write_references
 from .task import Denoising
 
 OPSET = 18
@@ -128,6 +129,7 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) 
     manifest = describe(task, state, out, record)
     (out / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
     (out / "README.md").write_text(model_card(manifest))
+    write_references(task, out, manifest)
     return out
 
 

@@ -13,6 +13,7 @@ import typer
 
 from pathfold.cli import console
 from pathfold.cli.bench import bench
+from pathfold.cli.check import check
 from pathfold.cli.compare import compare
 from pathfold.cli.denoise import denoise
 from pathfold.cli.info import info
@@ -25,8 +26,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 done, 1 failed, 2 usage, 3 input, 4 model or package, 5 output, 130 interrupted.",
 )
-for command in (denoise, render, info, compare, bench):
-    app.command(no_args_is_help=command is not info)(command)
+for command in (denoise, render, info, compare, bench, check):
+    app.command(no_args_is_help=command not in (info, check))(command)
 
 
 def _version(wanted: bool) -> None:

@@ -1,0 +1,39 @@
+"""How far two images are apart, and how far they may be."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TABLE = tomllib.loads((Path(__file__).parent / "tolerances.toml").read_text(encoding="utf-8"))
+SMALLEST = float(np.finfo(np.float32).tiny)  # below it float32 has no seven digits
+
+
+def tolerance(name: str) -> float:
+    """A value of tolerances.toml, "chain.fp32" or "tiles". Raises KeyError where the table has none."""
+    entry: Any = _TABLE
+    for key in name.split("."):
+        entry = entry[key]
+    return float(entry["value"])
+
+
+def relative_error(
+    image: NDArray[Any], reference: NDArray[Any], largest: float = 0.0
+) -> tuple[float, tuple[int, int] | None]:
+    """The largest relative error of any value, and its pixel (y, x); None where all are equal.
+
+    Each value is measured against its own reference: a weighted mean of values >= 0 amplifies no rounding. `largest` is
+    the brightest that any tap may hold: float32 weights below 1e-38 are 0, so 1e-30 of it is nothing. Infinite where a
+    value is not finite.
+    """
+    right = reference.astype(np.float64)
+    floor = max(SMALLEST, 1e-30 * largest)
+    with np.errstate(invalid="ignore"):
+        error = np.abs(image.astype(np.float64) - right) / np.maximum(np.abs(right), floor)
+    error = np.where(np.isfinite(error), error, np.inf).max(-1)
+    worst = np.unravel_index(int(error.argmax()), error.shape)
+    return float(error[worst]), None if error[worst] == 0 else (int(worst[0]), int(worst[1]))

@@ -1,0 +1,75 @@
+"""The outcome of one case or property, and what is looked at in every result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pathfold.check.measure import SMALLEST, relative_error, tolerance
+from pathfold.check.prepare import Prepared, window_limits
+from pathfold.denoising import Result
+
+
+@dataclass
+class Row:
+    """`error` is the largest relative one, None where nothing is compared; `reason` says why it fails."""
+
+    name: str
+    stresses: str
+    error: float | None = None
+    allowed: float | None = None
+    worst: tuple[int, int] | None = None  # pixel y, x
+    finite: bool = True  # and >= 0
+    bounded: bool = True  # before remodulation, between the least and the largest of the window
+    reason: str = ""
+
+    def fail(self, reason: str) -> None:
+        self.reason = f"{self.reason}; {reason}" if self.reason else reason
+
+    def compare(self, image: Any, right: Any, largest: float = 0.0) -> None:
+        """Keep the largest relative error of several images; `largest` as in relative_error."""
+        error, worst = relative_error(image, right, largest)
+        if self.error is None or error > self.error:
+            self.error, self.worst = error, worst
+
+    def inspect(self, result: Result, frame: Prepared, manifest: dict[str, Any]) -> None:
+        """Whether a result is finite, >= 0, bounded by its window and made without falling back to noisy pixels."""
+        images = [image for image in (result.color, result.diffuse, result.specular) if image is not None]
+        if not all(bool((np.isfinite(image) & (image >= 0)).all()) for image in images):
+            self.finite = False
+        if not bounded(result, frame, manifest):
+            self.bounded = False
+        if repaired := result.report["sanitised"]["repaired"]:
+            self.fail(f"the network gave {repaired} values no finite kernel")
+
+    def judged(self) -> Row:
+        """The row, with the reasons that follow from its figures."""
+        if not self.finite:
+            self.fail("not finite or below 0")
+        if not self.bounded:
+            self.fail("outside of its window's least and largest value")
+        if self.error is not None and self.allowed is not None and not self.error <= self.allowed:
+            self.fail(f"error above {self.allowed:g}")
+        return self
+
+
+def bounded(result: Result, frame: Prepared, manifest: dict[str, Any]) -> bool:
+    """Whether each branch's result, before remodulation, lies within the least and largest value of its window."""
+    split, slack = len(frame.branches) > 1, tolerance("bounded")
+    for branch in frame.branches:
+        image = getattr(result, branch.buffer) if split else result.color
+        low, high = window_limits(branch.demodulated, frame.valid, window_radius(manifest))
+        with np.errstate(invalid="ignore"):
+            value = image / branch.factor
+            if not ((value >= low * (1 - slack) - SMALLEST) & (value <= high * (1 + slack) + SMALLEST)).all():
+                return False
+    return True
+
+
+def window_radius(manifest: dict[str, Any]) -> int:
+    """Pixels that a result's weighted mean reaches: a gather's own radius, else all that a pixel depends on."""
+    block = manifest["reconstruction"]
+    plain = block["operator"] == "gather" and "levels" not in block
+    return int(block["size"] // 2 if plain else manifest["tile"]["overlap"])

@@ -1,0 +1,61 @@
+"""The references of `pathfold check`: every case of pathfold.check.cases through the whole chain in float64 torch."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pathfold.check import references
+from pathfold.check.cases import CASES
+from pathfold.check.prepare import Prepared, prepare, reads
+from pathfold.check.references import References, frame_hash
+from torch import Tensor
+
+from .networks.reconstruct import gather
+from .task import Denoising
+
+
+def write_references(task: Denoising, folder: Path, manifest: dict[str, Any]) -> None:
+    """Write references.npz into the model folder that `task` was exported to."""
+    task = copy.deepcopy(task).double().eval()
+    made = References()
+    for case in CASES:
+        if not reads(manifest, case.needs):
+            continue
+        buffers = case.make()
+        image, made.logits[case.name] = denoise(task, prepare(buffers, manifest), manifest)
+        made.images[case.name] = image.astype(np.float32)  # half a unit in the last place: far below any tolerance
+        made.frames[case.name] = frame_hash(buffers)
+    references.write(folder, manifest, made)
+
+
+def denoise(task: Denoising, frame: Prepared, manifest: dict[str, Any]) -> tuple[NDArray[np.float64], float]:
+    """The frame's color H x W x 3 and the largest |logit| (with trust): networks, kernels and sums in float64."""
+    total, largest = np.zeros_like(frame.branches[0].radiance), 0.0
+    masked = torch.from_numpy(~frame.valid)
+    for part in frame.branches:
+        branch = task.model.branch(part.graph)
+        inputs = {name: tensor(name, part.inputs[name]) for name in branch.input_names()}
+        radiance = tensor("radiance", part.demodulated).masked_fill(masked, float("nan"))
+        with torch.no_grad():
+            predicted = branch(inputs)
+            size = manifest["reconstruction"]["size"]
+            filtered = gather(predicted.logits, radiance, size, trust=predicted.trust)
+        shift = 0.0 if predicted.trust is None else float(predicted.trust.abs().max())
+        largest = max(largest, float(predicted.logits.abs().max()) + shift)
+        total += filtered[0].permute(1, 2, 0).numpy() * part.factor
+    if not np.isfinite(total).all():
+        raise ValueError("the network's result is not finite in float64, so it has no reference; train it anew")
+    return total, largest
+
+
+def tensor(name: str, values: NDArray[np.float64]) -> Tensor:
+    """A graph input N x C x H x W of an H x W x C or S x H x W x C buffer; scalars as they are."""
+    block = torch.from_numpy(values)
+    if block.ndim == 1:
+        return block
+    return (block if name.startswith("samples.") else block[None]).permute(0, 3, 1, 2)
