@@ -1,6 +1,7 @@
 #include "denoiser.h"
 
 #include <cmath>
+#include <cstring>
 #include <limits>
 
 #include <nlohmann/json.hpp>
@@ -370,6 +371,26 @@ TEST(Denoiser, HalvesInAndOutInPlace) {
     Pixels result(24, 32, 3);
     half_to_float(halves.data(), halves.size(), result.values.data());
     expect_near(result, right, 1e-3);
+}
+
+// Random bits in every buffer, radiance and guides alike: finite, >= 0, the same in tiles.
+TEST(Denoiser, RandomBits) {
+    for (unsigned seed = 0; seed < 12; ++seed) {
+        SCOPED_TRACE(testing::Message() << "seed " << seed);
+        std::mt19937 random(seed);
+        Scene scene = Scene::full(1 + random() % 30, 1 + random() % 30);
+        scene.settings.exposure = 0;
+        for (auto &[name, pixels] : scene.buffers)
+            for (float &value : pixels.values)
+                if (const uint32_t bits = random(); random() % 4 != 0)
+                    std::memcpy(&value, &bits, sizeof value);
+        const Pixels whole = scene.denoise("split-5");
+        EXPECT_EQ(scene.report["sanitised"]["repaired"], 0);
+        for (float value : whole.values)
+            ASSERT_TRUE(std::isfinite(value) && value >= 0);
+        scene.settings.tile = 8;
+        expect_near(scene.denoise("split-5"), whole, 1e-5);
+    }
 }
 
 } // namespace pathfold::core

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 #include <oneapi/tbb/global_control.h>
 
@@ -115,6 +116,30 @@ TEST(Gather, ThreadsDoNotMatter) {
     const Pixels all = gather_pixels(image, logits, 9);
     const oneapi::tbb::global_control one(oneapi::tbb::global_control::max_allowed_parallelism, 1);
     EXPECT_EQ(gather_pixels(image, logits, 9).values, all.values);
+}
+
+// Sizes, magnitudes, masks and logits at random: within the window's least and largest value, as naive.
+TEST(Gather, RandomCases) {
+    for (unsigned seed = 0; seed < 60; ++seed) {
+        SCOPED_TRACE(testing::Message() << "seed " << seed);
+        std::mt19937 random(seed);
+        const auto draw = [&](int least, int most) {
+            return std::uniform_int_distribution<int>(least, most)(random);
+        };
+        const int size = 2 * draw(0, 4) + 1, height = draw(1, 20), width = draw(1, 70);
+        Pixels image = noise(height, width, draw(1, 5), seed, std::ldexp(1.0f, draw(-60, 60)));
+        for (int masked = draw(0, height * width); masked > 0; --masked)
+            image.at(draw(0, height - 1), draw(0, width - 1), 0) = std::numeric_limits<float>::quiet_NaN();
+        const float spread = std::pow(10.0f, float(draw(-2, 4)));
+        const auto logits = random_logits(size * size, height * width, spread, seed);
+        const Pixels result = gather_pixels(image, logits, size);
+        expect_near(result, naive_gather(image, logits, size), 2e-6);
+        const float most =
+            std::accumulate(image.values.begin(), image.values.end(), 0.0f,
+                            [](float a, float b) { return std::isfinite(b) ? std::max(a, b) : a; });
+        for (float value : result.values)
+            ASSERT_TRUE(value >= 0 && value <= most * (1 + 1e-5f));
+    }
 }
 
 } // namespace pathfold::core
