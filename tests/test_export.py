@@ -55,7 +55,7 @@ def spread_trust(checkpoint: Path) -> None:
     state = torch.load(checkpoint, weights_only=True)
     for name, value in state["state_dict"].items():
         if ".trust." in name:
-            value.copy_(torch.randn(value.shape, generator=torch.Generator().manual_seed(0)))
+            value.copy_(0.1 * torch.randn(value.shape, generator=torch.Generator().manual_seed(0)))
     torch.save(state, checkpoint)
 
 
