@@ -1,6 +1,14 @@
-"""Rendering a data set: equal seeds give equal samples, resume, broken scenes, the reference's error."""
+"""Rendering a data set: equal seeds give equal views, resume, samples again, faults, processes and workers killed."""
 
+import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,59 +18,250 @@ import pytest
 
 pytest.importorskip("mitsuba")
 
-from pathfold_training import render, store
+from pathfold_training import farm, reference, render, store, view
 
 LIBRARY = Path(__file__).parent / "assets" / "library"
+SMALL = {"budget": 0.0, "seed": 3, "size": 16, "spp": 4}
 
 
 @pytest.fixture(scope="module")
-def task() -> render.Task:
-    return render.plan(0, LIBRARY, 0.0, seed=3, size=16, spp=4, views_per_scene=2, held_out=0.0)[0]
+def task() -> view.Task:
+    return render.plan(0, LIBRARY, 2, 0.0, **SMALL)[0]
 
 
-def test_equal_seeds_give_equal_views(task: render.Task, tmp_path: Path) -> None:
-    first = render.render_view(task, tmp_path / "first")
-    render.render_view(task, tmp_path / "again")
-    other = render.render_view(replace(task, seed=4), tmp_path / "other")
-    one, two = (store.Store(_indexed(tmp_path / name, first)).view(task.id) for name in ("first", "again"))
+@pytest.fixture(scope="module")
+def rendered(task: view.Task) -> tuple[store.Line, store.Arrays]:
+    return view.render_view(task)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of the library's two views."""
+    out = tmp_path_factory.mktemp("finished")
+    assert render.render(out, library=LIBRARY, views_per_scene=2, held_out=0, **SMALL)["done"] == 2
+    return out
+
+
+def test_equal_seeds_give_equal_views(task: view.Task, rendered: tuple[store.Line, store.Arrays]) -> None:
+    line, one = rendered
+    _, two = view.render_view(task)
     assert all(np.array_equal(one[name], two[name]) for name in one)
-    assert one["samples.descriptor"].shape == (4, 36, 16, 16)
+    assert one["samples.descriptor"].shape == (1, 4, 36, 16, 16)
     assert one["reference.color"].shape == (3, 16, 16)
+    assert line["crops"] == [[0, 0]]
     assert np.isclose(one["importance"].mean(), 1, atol=1e-3)
-    three = store.Store(_indexed(tmp_path / "other", other)).view(task.id)
+    _, three = view.render_view(replace(task, seed=4))
     assert not np.array_equal(one["samples.radiance"], three["samples.radiance"])
     halves = np.stack([one["reference.half_a.color"], one["reference.half_b.color"]])
     assert np.allclose(halves.mean(0), one["reference.color"], rtol=1e-5)
-    noisy = one["samples.radiance"].mean(0)
+    noisy = one["samples.radiance"][0].mean(0)
     assert abs(noisy.mean() / one["reference.color"].mean() - 1) < 0.3
 
 
-def _indexed(folder: Path, line: store.Line) -> Path:
-    store.append_line(folder, line)
-    return folder
+def test_samples_come_again_from_the_description(task: view.Task, rendered: tuple[store.Line, store.Arrays]) -> None:
+    line, first = rendered
+    described = json.loads(json.dumps(line))
+    again, tensors = view.render_view(replace(task, known=described, seed=line["seed"]))
+    assert {name for name in tensors if not name.startswith("samples.")} == set()
+    assert all(np.array_equal(tensors[name], first[name]) for name in tensors)
+    assert again["crops"] == line["crops"]
+
+
+def test_crops_are_windows_of_the_view(task: view.Task) -> None:
+    line, tensors = view.render_view(replace(task, size=32, crop=16, crops=3, spp=64))
+    assert tensors["samples.radiance"].shape == (3, 64, 3, 16, 16)
+    assert len({tuple(corner) for corner in line["crops"]}) == 3
+    clean = tensors["reference.color"]
+    for samples, (y, x) in zip(tensors["samples.radiance"], line["crops"], strict=True):
+        window = clean[:, y : y + 16, x : x + 16]
+        assert np.corrcoef(samples.mean(0).ravel(), window.ravel())[0, 1] > 0.9
+
+
+def test_crops_are_drawn_by_weight_without_repeats() -> None:
+    weight = np.ones((300, 256))
+    weight[:, 128:] = 9
+    drawn = [view.choose_crops(weight, 128, 2, view.entropy(seed, "x")) for seed in range(200)]
+    assert all(len({tuple(c) for c in corners}) == 2 for corners in drawn)
+    assert {y for corners in drawn for y, _ in corners} == {0, 86, 172}
+    right = np.mean([x == 128 for corners in drawn for _, x in corners])
+    assert 0.8 < right < 0.95
+    assert view.choose_crops(np.ones((16, 16)), 16, 4, view.entropy(0, "x")) == [[0, 0]]
 
 
 def test_the_same_command_continues_and_reports_broken_scenes(tmp_path: Path) -> None:
     scenes = tmp_path / "scenes"
     shutil.copytree(LIBRARY, scenes)
     (scenes / "broken.xml").write_text("<scene version='3.0.0'><nonsense/></scene>")
-    arguments = {"library": scenes, "budget": 0.0, "seed": 3, "size": 16, "spp": 2, "views_per_scene": 1, "workers": 2}
+    arguments = {"library": scenes, "views_per_scene": 1, **SMALL}
     out = tmp_path / "data"
     assert render.render(out, **arguments) == {"done": 1, "kept": 0, "failed": 1}
-    before = store.view_path(out, "tiny-3-0").stat().st_mtime_ns
+    before = store.file_path(out, store.SAMPLES, "tiny-3-0").stat().st_mtime_ns
     assert render.render(out, **arguments) == {"done": 0, "kept": 1, "failed": 1}
-    assert store.view_path(out, "tiny-3-0").stat().st_mtime_ns == before
-    assert "broken-3-0 skipped" in (out / "render.log").read_text()
+    assert store.file_path(out, store.SAMPLES, "tiny-3-0").stat().st_mtime_ns == before
+    log = (out / "render.log").read_text()
+    assert "broken-3-0 skipped" in log
+    assert "views, " in log
+    assert "paths/s" in log
 
 
-def test_a_killed_process_costs_its_view_only(tmp_path: Path, task: render.Task) -> None:
-    lost = replace(task, id="lost", path="/dev/null/nothing.xml")
-    results = {t.id: line for t, line in render._run(tmp_path, [lost], 1)}
-    assert results == {"lost": None}
+def test_samples_are_rendered_again_at_any_spp(finished: Path, tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    shutil.copytree(finished, out)
+    kept = {line["id"]: line["files"][store.REFERENCES] for line in store.read_index(out)}
+    shutil.rmtree(out / store.SAMPLES)
+    assert render.render(out)["done"] == 2
+    for line in store.read_index(finished):
+        one, two = (store.Store(folder).tensor(line["id"], "samples.radiance")[:] for folder in (finished, out))
+        assert np.array_equal(one, two)
+    assert render.render(out, spp=2) == {"done": 2, "kept": 0, "failed": 0}
+    assert render.render(out) == {"done": 0, "kept": 2, "failed": 0}
+    for line in store.Store(out).lines:
+        assert line["spp"] == 2
+        assert line["files"][store.REFERENCES] == kept[line["id"]]
+    assert list(store.damaged(out, store.read_index(out))) == []
+
+
+def test_a_view_that_is_there_already_is_refused(task: view.Task, finished: Path, tmp_path: Path) -> None:
+    lines = {line["id"]: line for line in store.read_index(finished)}
+    gallery = render._gallery(finished, lines)
+    result = view.render_view(replace(task, id="copy"))
+    assert render._take_in(tmp_path, replace(task, id="copy"), result, gallery) is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_killed_process_costs_its_view_a_retry(task: view.Task) -> None:
+    other = replace(task, id="other", number=1)
+    killed: list[int] = []
+
+    def kill_first() -> None:
+        while not killed:
+            for process in farm.multiprocessing.active_children():
+                time.sleep(0.3)  # it is importing Mitsuba or at its view
+                os.kill(process.pid or 0, signal.SIGKILL)
+                killed.append(process.pid or 0)
+                return
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=kill_first)
+    thread.start()
+    results = {done.id: result for done, result in farm.local([task, other], 1)}
+    thread.join()
+    assert killed
+    assert set(results) == {task.id, "other"}
+    assert all(not isinstance(result, str) for result in results.values())
+
+
+def die(task: view.Task) -> farm.Result:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return "not reached"
+
+
+def test_a_view_whose_process_always_dies_is_given_up(task: view.Task) -> None:
+    ((_, result),) = farm.local([task], 2, die)
+    assert result == "its process died with exit code -9, 2 times"
+
+
+def words(text: str) -> str:
+    """Console output without its line breaks."""
+    return " ".join(text.split())
+
+
+def command(out: Path) -> list[str]:
+    options = ["--library", str(LIBRARY), "--cameras", "2", "--budget", "0", "--size", "16", "--spp", "4"]
+    return [str(Path(sys.executable).parent / "pathfold-train"), "render", "--out", str(out), "--seed", "3", *options]
+
+
+def test_the_renderer_is_killed_and_continues(tmp_path: Path, finished: Path) -> None:
+    with subprocess.Popen([*command(tmp_path), "--workers", "1"]) as process:
+        while process.poll() is None and not store.read_index(tmp_path):
+            time.sleep(0.02)
+        process.send_signal(signal.SIGKILL)
+    assert len(store.Store(tmp_path).lines) == 1
+    run = subprocess.run(command(tmp_path), capture_output=True, text=True, check=True)
+    assert "1 views made, 1 kept, 0 failed" in words(run.stderr)
+    for line in store.read_index(finished):
+        one, two = (store.Store(folder).tensor(line["id"], "reference.color")[:] for folder in (finished, tmp_path))
+        assert np.array_equal(one, two)
+
+
+@pytest.mark.long
+def test_a_full_disk_stops_with_one_line_and_the_run_continues(tmp_path: Path) -> None:
+    """A file system of 256 KiB takes one view and not another."""
+    arguments = " ".join(command(tmp_path))
+    script = (
+        f"mount -t tmpfs -o size=256k none {tmp_path} && {{ {arguments}; code=$?; find {tmp_path} -name '*.partial'; "
+    )
+    script += f"mount -o remount,size=9m {tmp_path}; {arguments}; exit $code; }}"
+    if subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode:
+        pytest.skip("no mount namespace: not root")
+    run = subprocess.run(["unshare", "-m", "sh", "-c", script], capture_output=True, text=True)
+    first, second = words(run.stderr).split("free some space and give the same command again")
+    assert run.returncode == 1, run.stderr
+    assert "Traceback" not in run.stderr
+    assert "No space left on device" in first
+    assert run.stdout == ""  # no partial file
+    assert "1 views made, 1 kept, 0 failed" in second
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[str]:
+    """A Dask scheduler with two workers on loopback, each a process of one thread with its nanny."""
+    file = tmp_path / "scheduler.json"
+    dask = [str(Path(sys.executable).parent / "dask")]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    joined = [*dask, "worker", "--scheduler-file", str(file), "--nthreads", "1", "--nworkers", "2", "--no-dashboard"]
+    start = [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
+    processes = [subprocess.Popen(start, **quiet)]  # type: ignore[call-overload]
+    try:
+        while not file.exists():
+            time.sleep(0.05)
+        processes.append(subprocess.Popen([*joined, "--local-directory", str(tmp_path)], **quiet))  # type: ignore[call-overload]
+        yield json.loads(file.read_text())["address"]
+    finally:
+        for process in reversed(processes):
+            process.terminate()
+            process.wait(20)
+
+
+@pytest.mark.long
+def test_a_cluster_renders_the_same_and_survives_a_killed_worker(
+    finished: Path, tmp_path: Path, scheduler: str
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    killed: list[int] = []
+
+    def kill_busy() -> None:
+        with distributed.Client(scheduler) as client:
+            while not killed:
+                pids = client.run(os.getpid)
+                for worker in (name for name, keys in client.processing().items() if keys):
+                    os.kill(pids[worker], signal.SIGKILL)
+                    killed.append(pids[worker])
+                    return
+                time.sleep(0.02)
+
+    thread = threading.Thread(target=kill_busy)
+    thread.start()
+    out = tmp_path / "data"
+    counts = render.render(out, library=LIBRARY, views_per_scene=2, held_out=0, cluster=scheduler, **SMALL)
+    thread.join()
+    assert killed
+    assert counts == {"done": 2, "kept": 0, "failed": 0}
+    for line in store.read_index(finished):
+        for name in ("samples.radiance", "reference.color"):
+            one, two = (store.Store(folder).tensor(line["id"], name)[:] for folder in (finished, out))
+            assert np.array_equal(one, two)
+
+
+def test_a_cluster_that_is_not_there_is_named(task: view.Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(farm, "ANSWER", 1)
+    with pytest.raises(OSError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        list(farm.cluster([task], "tcp://127.0.0.1:9"))
 
 
 def test_the_plan_is_mixed_fixed_by_the_seed_and_splits_whole_scenes() -> None:
-    first, again, other = (render.plan(40, LIBRARY, 1.0, seed, 16, 4, 4, 0.2) for seed in (1, 1, 2))
+    first, again, other = (render.plan(40, LIBRARY, 4, 0.2, **SMALL | {"seed": seed}) for seed in (1, 1, 2))
     assert first == again
     assert [t.id for t in first] != [t.id for t in other]
     assert len({t.split for t in first if t.scene == "tiny"}) == 1
@@ -74,7 +273,7 @@ def test_half_error_estimates_the_error_of_the_mean() -> None:
     truth = rng.uniform(0.2, 1, (64, 64, 3))
     a, b = (truth + 0.02 * rng.normal(size=truth.shape) for _ in range(2))
     actual = np.mean(((a + b) / 2 - truth) ** 2 / (truth**2 + 1e-2))
-    assert render.half_error(a, b) == pytest.approx(actual, rel=0.1)
+    assert reference.half_error(a, b) == pytest.approx(actual, rel=0.1)
 
 
 def test_exposure_is_the_sdk_s_and_stands_outliers() -> None:
@@ -87,6 +286,11 @@ def test_exposure_is_the_sdk_s_and_stands_outliers() -> None:
 
 def test_exposure_scales_inversely_and_ignores_black() -> None:
     image = np.random.default_rng(0).uniform(0.1, 1, (3, 64, 48)).astype(np.float32)
-    assert render.exposure(image) == pytest.approx(100 * render.exposure(100 * image), rel=1e-5)
-    assert render.exposure(np.zeros((3, 8, 8), np.float32)) == 1
-    assert render.exposure(np.full((3, 20, 20), 0.18, np.float32)) == pytest.approx(1, rel=1e-4)
+    assert reference.exposure(image) == pytest.approx(100 * reference.exposure(100 * image), rel=1e-5)
+    assert reference.exposure(np.zeros((3, 8, 8), np.float32)) == 1
+    assert reference.exposure(np.full((3, 20, 20), 0.18, np.float32)) == pytest.approx(1, rel=1e-4)
+
+
+def test_depth_scale_is_over_what_was_met() -> None:
+    assert reference.depth_scale(np.array([0, 2.0, 8.0, np.inf])) == pytest.approx(1 / 4)
+    assert reference.depth_scale(np.zeros(4)) == 1

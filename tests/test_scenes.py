@@ -9,8 +9,9 @@ import pytest
 mi = pytest.importorskip("mitsuba")
 mi.set_variant("llvm_ad_rgb")
 
-from pathfold_training.scenes import cameras, library, meshes, procedural, textures  # noqa: E402
-from pathfold_training.scenes.cameras import Camera, RejectedError, Survey  # noqa: E402
+from pathfold_training.scenes import cameras, faults, library, meshes, procedural, textures  # noqa: E402
+from pathfold_training.scenes.cameras import Camera  # noqa: E402
+from pathfold_training.scenes.faults import RejectedError, Survey  # noqa: E402
 
 LIBRARY = Path(__file__).parent / "assets" / "library"
 
@@ -60,21 +61,41 @@ def seen(distance: Any, shapes: Any) -> Survey:
 
 def test_views_of_nothing_a_wall_or_a_near_object_are_refused() -> None:
     depth = np.linspace(1, 3, 50)
-    assert cameras.geometry_fault(seen(depth, range(8))) is None
-    assert cameras.geometry_fault(seen([np.inf, np.inf, 2], range(8))) == "sees nothing"
-    assert cameras.geometry_fault(seen(depth, [5])) == "one surface only"
-    assert cameras.geometry_fault(seen([2, 2.05], range(8))) == "looks into a wall"
-    assert cameras.geometry_fault(seen([0.1, 2, 2.5], range(8))) == "something before the lens"
+    assert faults.geometry_fault(seen(depth, range(8))) is None
+    assert faults.geometry_fault(seen([np.inf, np.inf, 2], range(8))) == "sees nothing"
+    assert faults.geometry_fault(seen(depth, [5])) == "one surface only"
+    assert faults.geometry_fault(seen([2, 2.05], range(8))) == "looks into a wall"
+    assert faults.geometry_fault(seen([0.1, 2, 2.5], range(8))) == "something before the lens"
 
 
 def test_black_flat_and_blown_pictures_are_refused() -> None:
     rng = np.random.default_rng(0)
     good = np.kron(np.exp(rng.normal(size=(8, 8))), np.ones((8, 8)))[..., None] * np.ones(3)
-    assert cameras.picture_fault(good) is None
-    assert cameras.picture_fault(0 * good) == "black"
-    assert cameras.picture_fault(1 + 0 * good) == "flat"
+    assert faults.picture_fault(good) is None
+    assert faults.picture_fault(0 * good) == "black"
+    assert faults.picture_fault(1 + 0 * good) == "flat"
     mostly_dark = np.where(np.arange(64)[:, None, None] < 16, good, 1e-6)
-    assert cameras.picture_fault(mostly_dark) == "black"
+    assert faults.picture_fault(mostly_dark) == "black"
+    glare = np.where(np.arange(64)[:, None, None] < 32, 1e4, good)
+    assert faults.picture_fault(glare) == "blown out"
+
+
+def test_a_gallery_refuses_what_it_has_at_any_exposure_and_nothing_else() -> None:
+    rng = np.random.default_rng(0)
+
+    def picture() -> Any:
+        return np.exp(np.kron(rng.normal(size=(1, 6, 6)), np.ones((3, 16, 16))))
+
+    one, other = picture(), picture()
+    gallery = faults.Gallery()
+    assert gallery.fault(one) is None
+    gallery.add("one", one)
+    assert gallery.fault(other) is None
+    gallery.add("other", other)
+    assert gallery.fault(5 * one * rng.uniform(0.8, 1.2, one.shape)) is not None
+    assert str(gallery.fault(np.roll(other, 1, 2))).startswith("repeats other")
+    assert gallery.fault(other[:, ::-1]) is None
+    assert gallery.fault(0 * one) == "black"
 
 
 def test_the_library_lists_scenes_with_their_licence() -> None:

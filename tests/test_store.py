@@ -1,92 +1,109 @@
-"""The data set's store: whole views only, crops, recovery after an interruption, checksums."""
+"""The data set's store: whole files only, recovery after an interruption, checksums, full disks, the commands."""
 
 import json
+import resource
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pathfold_training import dataset, store
+from pathfold_training.cli import app
+from training_data import view_tensors, write_data_set
+from typer.testing import CliRunner
 
 
-def line(name: str, **extra: object) -> store.Line:
-    facts = {"id": name, "scene": name, "kind": "procedural", "content": "room", "licence": "CC0-1.0", "origin": "code"}
-    return facts | {"split": "train", "spp": 4, "reference_spp": 64, "reference_rell2": 1e-3} | extra
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three views: view-0 and view-1 to train on, view-2 held out."""
+    return write_data_set(tmp_path / "set")
 
 
-def tensors(seed: int = 0) -> store.Arrays:
-    rng = np.random.default_rng(seed)
-    return {
-        "samples.radiance": rng.uniform(0, 2, (4, 3, 12, 10)).astype(np.float32),
-        "samples.normal": rng.normal(size=(4, 3, 12, 10)).astype(np.float16),
-        "reference.color": rng.uniform(0, 2, (3, 12, 10)).astype(np.float32),
-        "importance": np.ones((12, 10), np.float32),
-    }
+def path(folder: Path, kind: str, number: int) -> Path:
+    return store.file_path(folder, kind, f"view-{number}")
 
 
-def save(folder: Path, name: str, seed: int = 0, **extra: object) -> None:
-    store.append_line(folder, store.write_view(folder, line(name, **extra), tensors(seed), {"exposure": "0.5"}))
+def ids(lines: list[store.Line]) -> list[str]:
+    return [line["id"] for line in lines]
 
 
-def test_crops_are_parts_of_what_was_written(tmp_path: Path) -> None:
-    save(tmp_path, "a")
-    save(tmp_path, "b", 1, split="val")
-    data = store.Store(tmp_path)
-    assert [entry["id"] for entry in data.split("val")] == ["b"]
-    assert data.exposure("a") == 0.5
-    crop = data.crop("b", 2, 3, 5, 4, samples=slice(1, 3))
-    expected = tensors(1)
-    assert np.array_equal(crop["samples.radiance"], expected["samples.radiance"][1:3, :, 2:7, 3:7])
-    assert crop["samples.normal"].dtype == np.float16
-    assert np.array_equal(crop["reference.color"], expected["reference.color"][:, 2:7, 3:7])
-    assert crop["importance"].shape == (5, 4)
-    assert np.array_equal(data.view("b")["samples.normal"], expected["samples.normal"])
+def alter(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[-1] ^= 1
+    file.write_bytes(content)
 
 
-def test_a_view_being_written_is_not_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    save(tmp_path, "a")
+def test_what_is_read_is_what_was_written(folder: Path) -> None:
+    data = store.Store(folder)
+    assert ids(data.split("val")) == ["view-2"]
+    expected = view_tensors(1)
+    for name, values in expected.items():
+        assert np.array_equal(data.tensor("view-1", name)[:], values), name
+        assert data.tensor("view-1", name)[:].dtype == values.dtype
+    part = data.tensor("view-1", "samples.radiance")[0, 1:3, :, 2:7, 3:7]
+    assert np.array_equal(part, expected["samples.radiance"][0, 1:3, :, 2:7, 3:7])
 
+
+def test_a_file_being_written_is_not_seen(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def killed(*_: object) -> None:
         raise KeyboardInterrupt
 
+    line = store.read_index(folder)[0] | {"id": "view-9"}
     monkeypatch.setattr(Path, "replace", killed)
     with pytest.raises(KeyboardInterrupt):
-        save(tmp_path, "b")
+        store.write(folder, line, view_tensors(9))
     monkeypatch.undo()
-    assert not store.view_path(tmp_path, "b").exists()
-    assert [entry["id"] for entry in store.recover(tmp_path)] == ["a"]
-    assert not list(tmp_path.glob("views/*.partial"))
+    assert not path(folder, store.REFERENCES, 9).exists()
+    assert list(folder.glob("references/*.partial"))
+    assert ids(store.recover(folder)) == ["view-0", "view-1", "view-2"]
+    assert not list(folder.glob("references/*.partial"))
 
 
-def test_recovery_drops_cut_files_and_adopts_whole_ones(tmp_path: Path) -> None:
-    for name in ("a", "b", "c"):
-        save(tmp_path, name)
-    cut = store.view_path(tmp_path, "b")
+def test_recovery_drops_cut_and_altered_files_and_takes_up_whole_ones(folder: Path) -> None:
+    cut = path(folder, store.REFERENCES, 0)
     cut.write_bytes(cut.read_bytes()[:-100])
-    index = tmp_path / "index.jsonl"
+    alter(path(folder, store.SAMPLES, 1))
+    index = folder / "index.jsonl"
     rows = index.read_text().splitlines()
     index.write_text("\n".join([rows[0], rows[1], rows[2][:40]]))  # the last line was being written
-    assert [entry["id"] for entry in store.read_index(tmp_path)] == ["a"]
-    assert [entry["id"] for entry in store.recover(tmp_path)] == ["a", "c"]
-    assert [json.loads(row)["id"] for row in index.read_text().splitlines()] == ["a", "c"]
+    lines = store.recover(folder)
+    assert ids(lines) == ["view-1", "view-2"]
+    assert [set(line["files"]) for line in lines] == [{"references"}, {"references", "samples"}]
+    assert [json.loads(row)["id"] for row in index.read_text().splitlines()] == ["view-1", "view-2"]
     assert not cut.exists()
+    assert not path(folder, store.SAMPLES, 1).exists()
+    assert store.recover(folder) == lines
 
 
-def test_altered_views_are_found(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        save(tmp_path, name)
-    path = store.view_path(tmp_path, "b")
-    content = bytearray(path.read_bytes())
-    content[-1] ^= 1
-    path.write_bytes(content)
-    assert list(store.Store(tmp_path).damaged()) == ["b"]
+def test_samples_that_the_index_does_not_know_replace_what_it_says(folder: Path) -> None:
+    lines = store.read_index(folder)
+    tensors = {k: v[:, :2] for k, v in view_tensors(0).items() if k.startswith("samples.")}
+    store.write(folder, lines[0] | {"spp": 2}, tensors)  # killed before the line was written
+    assert list(store.damaged(folder, lines)) == [path(folder, store.SAMPLES, 0)]
+    assert [line["id"] for line in store.Store(folder).lines] == ["view-1", "view-2"]
 
 
-def test_a_file_that_vanishes_is_named(tmp_path: Path) -> None:
-    save(tmp_path, "a")
-    data = store.Store(tmp_path)
-    store.view_path(tmp_path, "a").unlink()
-    with pytest.raises(store.DamagedViewError, match="view a in"):
-        data.view("a")
+def test_damage_is_found_before_it_is_read(folder: Path) -> None:
+    alter(path(folder, store.SAMPLES, 1))
+    data = store.Store(folder)
+    data.tensor("view-0", "samples.radiance")
+    data.tensor("view-1", "reference.color")
+    with pytest.raises(store.DamagedFileError, match=r"samples/view-1\.safetensors is damaged .*pathfold-train render"):
+        data.tensor("view-1", "samples.radiance")
+    path(folder, store.SAMPLES, 2).unlink()
+    with pytest.raises(store.DamagedFileError, match="view-2"):
+        data.tensor("view-2", "samples.radiance")
+
+
+def test_views_without_samples_are_left_out_with_a_warning(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path(folder, store.SAMPLES, 0).unlink()
+    assert ids(store.Store(folder).lines) == ["view-1", "view-2"]
+    assert "1 views left out" in caplog.text
+    for number in (1, 2):
+        path(folder, store.SAMPLES, number).unlink()
+    with pytest.raises(FileNotFoundError, match=r"no view in .* has its samples"):
+        store.Store(folder)
 
 
 def test_an_empty_folder_says_how_to_fill_it(tmp_path: Path) -> None:
@@ -94,12 +111,65 @@ def test_an_empty_folder_says_how_to_fill_it(tmp_path: Path) -> None:
         store.Store(tmp_path)
 
 
-def test_info_and_sheet(tmp_path: Path) -> None:
-    for i in range(3):
-        save(tmp_path, f"v{i}", i, split="val" if i == 2 else "train")
-    facts = dataset.info(tmp_path)
+def test_another_format_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "index.jsonl").write_text('{"id": "a", "spp": 16}\n')
+    with pytest.raises(ValueError, match=r"format 1, this version reads format 2: render it anew"):
+        store.Store(tmp_path)
+
+
+def test_a_write_beyond_the_file_size_limit_leaves_nothing(folder: Path) -> None:
+    program = f"""
+import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
+from pathlib import Path
+from pathfold_training import store
+from training_data import view_tensors
+folder = Path({str(folder)!r})
+store.write(folder, store.read_index(folder)[0] | {{"id": "view-9"}}, view_tensors(9))
+"""
+    limit = path(folder, store.REFERENCES, 0).stat().st_size * 2  # references fit, samples do not
+    run = subprocess.run(
+        [sys.executable, "-c", program],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        capture_output=True,
+        text=True,
+    )
+    assert "samples/view-9.safetensors: File too large" in run.stderr
+    assert not list(folder.glob("*/*.partial"))
+    assert not path(folder, store.SAMPLES, 9).exists()
+    assert ids(store.Store(folder).lines) == ["view-0", "view-1", "view-2"]
+    assert ids(store.recover(folder)) == ["view-0", "view-1", "view-2", "view-9"]  # its reference is whole
+
+
+def test_info_says_what_there_is(folder: Path) -> None:
+    path(folder, store.SAMPLES, 0).unlink()
+    facts = json.loads(CliRunner().invoke(app, ["dataset", "info", str(folder), "--json"]).stdout)
     assert facts["views"] == 3
+    assert facts["without_samples"] == 1
+    assert facts["spp"] == [8]
     assert facts["splits"] == {"train": 2, "val": 1}
     assert facts["licences"] == {"CC0-1.0": 3}
-    assert dataset.sheet(tmp_path, tmp_path / "sheet.png", columns=2) == 3
-    assert (tmp_path / "sheet.png").stat().st_size > 100
+    assert facts["reference_rell2"]["max"] == 0
+    assert facts["faults"]["view-1"] == "repeats view-0 (correlation 1.000)"  # the tests' views are of one picture
+
+
+def test_info_checks_every_byte_when_asked(folder: Path) -> None:
+    assert CliRunner().invoke(app, ["dataset", "info", str(folder), "--check"]).exit_code == 0
+    alter(path(folder, store.REFERENCES, 1))
+    assert CliRunner().invoke(app, ["dataset", "info", str(folder)]).exit_code == 0
+    result = CliRunner().invoke(app, ["dataset", "info", str(folder), "--check"])
+    assert result.exit_code == 1
+    assert dataset.info(folder, check=True)["damaged"] == [str(path(folder, store.REFERENCES, 1))]
+
+
+def test_sheet_shows_every_reference(folder: Path, tmp_path: Path) -> None:
+    oiio = pytest.importorskip("OpenImageIO")
+    picture = tmp_path / "sheet.png"
+    result = CliRunner().invoke(app, ["dataset", "sheet", str(folder), "-o", str(picture), "--columns", "2"])
+    assert result.exit_code == 0
+    pixels = oiio.ImageBuf(str(picture)).get_pixels(oiio.UINT8)
+    assert pixels.shape == (80, 80, 3)
+    exposed = 0.5 * np.moveaxis(view_tensors(2)["reference.color"], 0, -1)
+    assert np.abs(pixels[40:, :40] - 255 * (exposed / (1 + exposed)) ** (1 / 2.2)).max() < 1
+    assert not pixels[40:, 40:].any()
+    with pytest.raises(OSError, match=r"cannot write .*; give a \.jpg or \.png"):
+        dataset.sheet(folder, tmp_path / "nowhere" / "sheet.png")

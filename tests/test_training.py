@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from pathfold_training.config import Config, Data, Loss, Network, Optimiser
-from pathfold_training.data import Crops, augment, frame_inputs, reduce_samples
+from pathfold_training.data import Crops, Stored, augment, frame_inputs, reduce_samples
 from pathfold_training.export import export
 from pathfold_training.fit import checkpoint_weights, fit, start_record
 from training_data import write_data_set
@@ -52,12 +52,12 @@ def test_resumed_run_equals_the_whole_one(data_set: Path, tmp_path: Path) -> Non
     original = Crops.draw
     calls = 0
 
-    def stops(self: Crops, rng: np.random.Generator) -> object:
+    def stops(self: Crops, *arguments: object) -> object:
         nonlocal calls
         calls += 1
         if calls > 2 * TINY.data.batch + 1:
             raise InterruptError
-        return original(self, rng)
+        return original(self, *arguments)  # type: ignore[arg-type]
 
     Crops.draw = stops  # type: ignore[method-assign,assignment]
     try:
@@ -109,13 +109,13 @@ def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path)
 
 
 def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:
-    stream = Crops(data_set, TINY.data, seed=5, paths=True)
-    first = [batch for batch, _ in zip(stream, range(3), strict=False)]
-    again = next(iter(Crops(data_set, TINY.data, seed=5, paths=True, skip=2)))
+    stored = Stored(data_set)
+    first = [batch for batch, _ in zip(Crops(stored, TINY.data, seed=5, paths=True), range(3), strict=False)]
+    again = next(iter(Crops(stored, TINY.data, seed=5, paths=True, skip=2)))
     assert again.counts == first[2].counts
     for name, value in again.inputs.items():
         torch.testing.assert_close(value, first[2].inputs[name], rtol=0, atol=0)
-    other = next(iter(Crops(data_set, TINY.data, seed=6, paths=True)))
+    other = next(iter(Crops(stored, TINY.data, seed=6, paths=True)))
     assert not torch.equal(other.reference["color"], first[0].reference["color"])
 
 

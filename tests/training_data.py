@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from pathfold_training.store import append_line, write_view
+from pathfold_training.store import append_line, write
 
 SAMPLES, SIDE = 8, 40
 
@@ -15,8 +15,9 @@ def write_data_set(folder: Path, views: int = 3) -> Path:
         split = "val" if number == views - 1 else "train"
         line = {"id": f"view-{number}", "scene": "smooth", "kind": "procedural", "split": split, "seed": number}
         line |= {"licence": "CC0-1.0", "width": SIDE, "height": SIDE, "spp": SAMPLES, "reference_spp": 1024}
-        line |= {"max_depth": 6, "reference_rell2": 0.0}
-        append_line(folder, write_view(folder, line, view_tensors(number), {"exposure": "0.5"}))
+        line |= {"max_depth": 6, "reference_rell2": 0.0, "content": "room", "path": "", "cpu_seconds": 0.0}
+        line |= {"exposure": 0.5, "depth_scale": 0.4, "crop": SIDE, "crops": [[0, 0]]}
+        append_line(folder, write(folder, line, view_tensors(number)))
     return folder
 
 
@@ -42,4 +43,5 @@ def view_tensors(seed: int) -> dict[str, np.ndarray]:
     full |= {"reference.half_b.color": clean, "reference.diffuse.albedo": np.full((3, SIDE, SIDE), 0.5)}
     full["importance"] = np.ones((SIDE, SIDE))
     tensors = {name: value.astype(np.float16) for name, value in half.items()}
-    return tensors | {name: value.astype(np.float32) for name, value in full.items()}
+    tensors |= {name: value.astype(np.float32) for name, value in full.items()}
+    return {name: value[None] if name.startswith("samples.") else value for name, value in tensors.items()}

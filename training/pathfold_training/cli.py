@@ -1,14 +1,15 @@
-"""`pathfold-train render | fit | export | evaluate`: the commands; each does its work in the module of that name."""
+"""`pathfold-train render | dataset | fit | export | evaluate`: each command does its work in the module of its name."""
 
 from __future__ import annotations
 
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.table import Table
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -17,47 +18,120 @@ app = typer.Typer(
 )
 console = Console(stderr=True)
 
-DataFolder = Annotated[Path, typer.Option("--data", help="data set made by 'pathfold-train render'")]
+dataset = typer.Typer(no_args_is_help=True, help="What a data set holds.")
+app.add_typer(dataset, name="dataset")
+
+Variant = Annotated[str, typer.Option(help="Mitsuba's: llvm_ad_rgb, or cuda_ad_rgb on a GPU")]
 
 
 @app.command()
 def render(
     out: Annotated[Path, typer.Option("--out", help="data set folder; views already in it are kept")],
-    procedural: Annotated[int, typer.Option(help="number of procedural views")] = 0,
+    procedural: Annotated[int, typer.Option(min=0, help="number of procedural views")] = 0,
     library: Annotated[Path | None, typer.Option(help="folder of Mitsuba scenes")] = None,
-    cameras: Annotated[int, typer.Option(help="views of each library scene")] = 4,
-    budget: Annotated[float, typer.Option(help="core-seconds of reference rendering per view")] = 10.0,
-    size: Annotated[int, typer.Option(help="width and height of a view in pixels")] = 160,
-    spp: Annotated[int, typer.Option(help="samples with descriptors stored per pixel")] = 16,
-    workers: Annotated[int, typer.Option(help="views rendered at once")] = 2,
-    seed: int = 0,
+    cameras: Annotated[int, typer.Option(min=1, help="views of each library scene")] = 4,
+    budget: Annotated[float, typer.Option(min=0, help="core-seconds of reference rendering per view")] = 10.0,
+    size: Annotated[int, typer.Option(min=16, help="width and height of a view in pixels")] = 128,
+    spp: Annotated[
+        int | None,
+        typer.Option(min=1, help="samples per pixel, 16 for new views; views of another number get new ones"),
+    ] = None,
+    crop: Annotated[int, typer.Option(min=16, help="width and height of the windows that keep samples")] = 128,
+    crops: Annotated[int, typer.Option(min=1, help="windows of a view, if it is larger than one")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="views rendered at once on this machine")] = 2,
+    cluster: Annotated[str | None, typer.Option(help="address of a Dask scheduler whose workers render")] = None,
+    variant: Variant = "llvm_ad_rgb",
+    seed: Annotated[int, typer.Option(min=0)] = 0,
 ) -> None:
-    """Render views with path descriptors and references."""
+    """Render views: references, and samples with path descriptors.
+
+    Without --procedural and --library it completes the views that are there.
+    """
     from .render import render as run
 
-    counts = run(out, procedural, library, budget, seed, size, spp, cameras, workers=workers, console=console)
+    counts = run(
+        out, procedural, library, budget, seed, size, spp, crop, crops, cameras,
+        workers=workers, cluster=cluster, variant=variant, console=console,
+    )  # fmt: skip
     console.print(f"{out}: {counts['done']} views made, {counts['kept']} kept, {counts['failed']} failed")
+    if counts["failed"]:
+        console.print(f"reasons are in {out / 'render.log'}")
+
+
+@dataset.command("info")
+def dataset_info(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="data set made by 'pathfold-train render'")],
+    as_json: Annotated[bool, typer.Option("--json", help="all figures as JSON on standard output")] = False,
+    check: Annotated[bool, typer.Option("--check", help="read every byte; exit with 1 if a file is damaged")] = False,
+) -> None:
+    """Say what a data set holds."""
+    from .dataset import info
+
+    facts = info(folder, check)
+    if as_json:
+        print(json.dumps(facts, indent=2))
+    else:
+        table = Table(show_header=False, box=None)
+        for name, value in facts.items():
+            table.add_row(name.replace("_", " "), _words(value))
+        Console().print(table, highlight=False)
+    if facts.get("damaged"):
+        console.print(f"render them again: pathfold-train render --out {folder}", style="red")
+        raise typer.Exit(1)
+
+
+def _words(value: Any) -> str:
+    """A figure, list or dictionary for people."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {_words(entry)}" for key, entry in value.items()) or "none"
+    if isinstance(value, list):
+        return ", ".join(map(_words, value)) or "none"
+    return f"{value:.2g}" if isinstance(value, float) else str(value)
+
+
+@dataset.command("sheet")
+def dataset_sheet(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="data set made by 'pathfold-train render'")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="picture to write, .jpg or .png")],
+    columns: Annotated[int, typer.Option(min=1, help="pictures in a row")] = 12,
+) -> None:
+    """Draw a contact sheet of all references."""
+    from .dataset import sheet
+
+    console.print(f"{out}: {sheet(folder, out, columns)} views")
 
 
 @app.command()
 def fit(
     preset: Annotated[str, typer.Argument(help="a preset's name (training/presets) or a .yaml file")],
-    data: DataFolder,
     out: Annotated[Path, typer.Option("--out", help="folder of checkpoints; resumes from its last one")],
+    data: Annotated[Path | None, typer.Option("--data", help="data set made by 'pathfold-train render'")] = None,
+    render_on_the_fly: Annotated[
+        bool, typer.Option("--render-on-the-fly", help="instead of --data: render generated scenes while training")
+    ] = False,
+    variant: Variant = "llvm_ad_rgb",
     seed: int = 0,
     threads: Annotated[int, typer.Option(help="CPU threads; 0 lets torch choose")] = 0,
+    devices: Annotated[int, typer.Option(min=1, help="GPUs (or processes, without one) that share each batch")] = 1,
+    nodes: Annotated[int, typer.Option(min=1, help="machines, each with as many devices")] = 1,
     steps: Annotated[int | None, typer.Option(help="instead of the preset's")] = None,
     start_from: Annotated[Path | None, typer.Option(help="checkpoint or model folder to begin with")] = None,
 ) -> None:
     """Train a preset (Algorithm 1)."""
+    from lightning.pytorch.utilities import rank_zero_only
+
     from .config import load_preset
     from .fit import fit as run
+    from .live import Live
 
+    if (data is None) != render_on_the_fly:
+        raise ValueError("give --data DIR, or --render-on-the-fly, and not both")
     config = load_preset(preset)
     if steps is not None:
         config = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"steps": steps})})
-    last = run(config, data, out, seed=seed, threads=threads, start_from=start_from)
-    console.print(f"checkpoint: {last}")
+    source = data or Live(variant)
+    last = run(config, source, out, seed, threads, start_from=start_from, devices=devices, nodes=nodes)
+    rank_zero_only(console.print)(f"checkpoint: {last}")
 
 
 @app.command()

@@ -1,16 +1,20 @@
-"""Crops of stored views as training batches: subsets of samples reduced to buffers, augmented, inputs dropped."""
+"""Crops of rendered views as training batches: subsets of samples reduced to buffers, augmented, inputs dropped."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import Dataset, IterableDataset
+from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
 from .config import Data
 from .features import OPTIONAL
@@ -36,48 +40,74 @@ class Batch:
         return Batch(move, {k: v.to(device) for k, v in self.reference.items()}, self.counts)
 
 
-def open_split(folder: Path, split: str) -> tuple[Store, list[Line]]:
-    """The data set and its views of one split. Raises ValueError where it has none."""
-    store = Store(folder)
-    lines = store.split(split)
-    if not lines:
-        raise ValueError(f"{folder} has no view of split '{split}'; render more with 'pathfold-train render'")
-    return store, lines
+class Stored:
+    """The windows of a data set; called with a step, gives those to train on, whatever the step.
+
+    Raises ValueError where the data set has none to train or to validate on.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.store = Store(folder)
+        self.lines = self.store.lines
+        self.train = self._split("train")
+
+    def held_out(self) -> list[View]:
+        """The windows to validate on."""
+        return self._split("val")
+
+    def _split(self, name: str) -> list[View]:
+        lines = self.store.split(name)
+        if not lines:
+            raise ValueError(
+                f"{self.store.folder} has no view of split '{name}'; render more with 'pathfold-train render'"
+            )
+        return [
+            View(line, partial(self.store.tensor, line["id"]), n) for line in lines for n in range(len(line["crops"]))
+        ]
+
+    def __call__(self, step: int) -> list[View]:
+        return self.train
 
 
 class View:
-    """One stored view; `crop` reads only what it needs."""
+    """A window of a view that samples were kept of. `tensor` gives the view's tensors by name; what is cut is read."""
 
-    def __init__(self, store: Store, line: Line) -> None:
-        self.store, self.id = store, line["id"]
-        self.samples, self.height, self.width = line["spp"], line["height"], line["width"]
-        self.exposure = store.exposure(self.id)
-        whole = store.view(self.id, ["importance"])["importance"].astype(np.float64).ravel()
-        self.cumulative = np.cumsum(whole / whole.sum())
-        depth = store.crop(self.id, 0, 0, self.height, self.width, ["samples.depth"], slice(0, 1))["samples.depth"]
-        depth = depth[np.isfinite(depth) & (depth > 0)]
-        # the SDK's depth_scale: 1 / geometric mean of the depths seen
-        self.depth_scale = float(np.exp(-np.log(depth).mean())) if depth.size else 1.0
+    def __init__(self, line: Line, tensor: Callable[[str], Any], number: int) -> None:
+        self.tensor, self.number = tensor, number
+        self.samples, self.side = line["spp"], line["crop"]
+        self.top, self.left = line["crops"][number]
+        self.exposure, self.depth_scale = line["exposure"], line["depth_scale"]
+
+    @cached_property
+    def cumulative(self) -> NDArray[np.float64]:
+        weight = self.tensor("importance")[self.top : self.top + self.side, self.left : self.left + self.side]
+        whole = weight.astype(np.float64).ravel()
+        return np.cumsum(whole / whole.sum())
 
     def corner(self, size: int, rng: np.random.Generator) -> tuple[int, int]:
-        """Top left of a crop whose centre is drawn by importance, moved inside the view."""
+        """Top left of a crop whose centre is drawn by importance, moved inside the window."""
         pixel = int(np.searchsorted(self.cumulative, rng.random()))
-        y, x = divmod(min(pixel, self.height * self.width - 1), self.width)
-        return (
-            int(np.clip(y - size // 2, 0, max(0, self.height - size))),
-            int(np.clip(x - size // 2, 0, max(0, self.width - size))),
-        )
+        y, x = divmod(min(pixel, self.side**2 - 1), self.side)
+        most = max(0, self.side - size)
+        return int(np.clip(y - size // 2, 0, most)), int(np.clip(x - size // 2, 0, most))
 
     def crop(self, y: int, x: int, size: int, first: int, count: int, paths: bool) -> tuple[Inputs, Inputs]:
-        """Samples [first, first + count) and references of the window: tensors float32, S x C x h x w and C x h x w.
+        """Samples [first, first + count) and references of the crop: tensors float32, S x C x h x w and C x h x w.
 
         Path descriptors are read only where `paths` asks for them. Non-finite samples count as black.
         """
-        names = [*SAMPLE_NAMES, *(PATH_NAMES if paths else ()), *REFERENCE_NAMES]
-        arrays = self.store.crop(self.id, y, x, size, size, names, slice(first, first + count))
-        tensors = {name: torch.nan_to_num(torch.from_numpy(a).float(), 0.0, 0.0, 0.0) for name, a in arrays.items()}
-        reference = {name.removeprefix("reference."): tensors.pop(name) for name in REFERENCE_NAMES}
-        return tensors, reference
+
+        def read(name: str, *index: Any) -> Tensor:
+            return torch.nan_to_num(torch.from_numpy(self.tensor(name)[index]).float(), 0.0, 0.0, 0.0)
+
+        inside = slice(y, min(y + size, self.side)), slice(x, min(x + size, self.side))
+        samples = self.number, slice(first, first + count), slice(None), *inside
+        whole = (
+            slice(None),
+            *(slice(s.start + o, s.stop + o) for s, o in zip(inside, (self.top, self.left), strict=True)),
+        )
+        inputs = {name: read(name, *samples) for name in (*SAMPLE_NAMES, *(PATH_NAMES if paths else ()))}
+        return inputs, {name.removeprefix("reference."): read(name, *whole) for name in REFERENCE_NAMES}
 
 
 def reduce_samples(samples: Inputs) -> Inputs:
@@ -99,27 +129,42 @@ def reduce_samples(samples: Inputs) -> Inputs:
 
 
 class Crops(IterableDataset):
-    """An endless stream of Batches. `split` 'train' draws at random; the same seed gives the same stream."""
+    """An endless stream of training Batches, each mixed from all views; the same seed gives the same stream.
 
-    def __init__(self, folder: Path, data: Data, seed: int, paths: bool, skip: int = 0) -> None:
+    `views` gives the views to draw from at a step. Of `processes` that train together each draws its share of every
+    batch, and of a loader's workers each makes every so-many-th batch: the stream is the same however it is shared.
+    """
+
+    def __init__(
+        self,
+        views: Callable[[int], Sequence[View]],
+        data: Data,
+        seed: int,
+        paths: bool,
+        skip: int = 0,
+        process: int = 0,
+        processes: int = 1,
+    ) -> None:
         super().__init__()
-        self.data, self.seed, self.paths, self.skip = data, seed, paths, skip
-        store, lines = open_split(folder, "train")
-        self.views = [View(store, line) for line in lines]
+        if data.batch % processes:
+            raise ValueError(f"a batch of {data.batch} cannot be shared by {processes} processes; make it a multiple")
+        self.views, self.data, self.seed, self.paths, self.skip = views, data, seed, paths, skip
+        share = data.batch // processes
+        self.items = range(process * share, (process + 1) * share)
 
     def __iter__(self) -> Iterator[Batch]:
-        step = self.skip
-        while True:
-            rng = np.random.default_rng([self.seed, step])  # a step's batch depends on nothing before it: exact resume
-            yield collate([self.draw(rng) for _ in range(self.data.batch)])
-            step += 1
+        worker = get_worker_info()
+        for step in count(self.skip + (worker.id if worker else 0), worker.num_workers if worker else 1):
+            views = self.views(step)
+            # an item depends on seed, step and place alone: exact resume, and the same whoever draws it
+            yield collate([self.draw(views, np.random.default_rng([self.seed, step, item])) for item in self.items])
 
-    def draw(self, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
-        view = self.views[int(rng.integers(len(self.views)))]
+    def draw(self, views: Sequence[View], rng: np.random.Generator) -> tuple[Inputs, Inputs]:
+        view = views[int(rng.integers(len(views)))]
         low, high = math.log2(self.data.spp_min), math.log2(min(self.data.spp_max, view.samples))
-        count = round(2 ** rng.uniform(low, high))
-        first = int(rng.integers(view.samples - count + 1))
-        samples, reference = view.crop(*view.corner(self.data.crop, rng), self.data.crop, first, count, self.paths)
+        number = round(2 ** rng.uniform(low, high))
+        first = int(rng.integers(view.samples - number + 1))
+        samples, reference = view.crop(*view.corner(self.data.crop, rng), self.data.crop, first, number, self.paths)
         augment(samples, reference, rng, self.data.normal_turn)
         inputs = frame_inputs(samples, view.exposure * 2 ** rng.uniform(-1.0, 1.0), view.depth_scale)
         drop_inputs(inputs, rng, self.data)
@@ -127,19 +172,17 @@ class Crops(IterableDataset):
 
 
 class ValidationViews(Dataset):
-    """Whole held-out views at a fixed number of samples, all inputs present, one Batch each."""
+    """Whole held-out windows at a fixed number of samples, all inputs present, one Batch each."""
 
-    def __init__(self, folder: Path, paths: bool, spp: int = 8) -> None:
-        store, lines = open_split(folder, "val")
-        self.views = [View(store, line) for line in lines]
-        self.paths, self.spp = paths, spp
+    def __init__(self, views: Sequence[View], paths: bool, spp: int = 8) -> None:
+        self.views, self.paths, self.spp = views, paths, spp
 
     def __len__(self) -> int:
         return len(self.views)
 
     def __getitem__(self, index: int) -> Batch:
         view = self.views[index]
-        samples, reference = view.crop(0, 0, max(view.height, view.width), 0, self.spp, self.paths)
+        samples, reference = view.crop(0, 0, view.side, 0, self.spp, self.paths)
         return collate([(frame_inputs(samples, view.exposure, view.depth_scale), reference)])
 
 

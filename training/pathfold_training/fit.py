@@ -7,6 +7,7 @@ import platform
 import re
 import subprocess
 import time
+from functools import partial
 from pathlib import Path
 
 import lightning
@@ -14,14 +15,16 @@ import onnx
 import torch
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar, TQDMProgressBar
 from lightning.pytorch.loggers import CSVLogger
+from lightning.pytorch.utilities import rank_zero_only
 from onnx import numpy_helper
 from rich.console import Console
 from torch.nn.utils import parametrize
 from torch.utils.data import DataLoader
 
 from .config import Config
-from .data import Crops, ValidationViews
-from .store import read_index
+from .data import Crops, Stored, ValidationViews
+from .live import Live, LiveViews
+from .store import Line
 from .task import Denoising
 
 
@@ -46,16 +49,21 @@ class TrainingSeconds(Callback):
 
 def fit(
     config: Config,
-    data: Path,
+    data: Path | Live,
     out: Path,
     seed: int = 0,
     threads: int = 0,
     validate_every: int = 500,
     save_every: int = 250,
+    log_every: int = 25,
     start_from: Path | None = None,
+    devices: int = 1,
+    nodes: int = 1,
 ) -> Path:
     """Train and return the last checkpoint, out/last.ckpt; resumes from it when it is there.
 
+    `data` is the folder of a data set, or says what to render on the fly. With more than one of `devices` or `nodes`,
+    as many processes (Lightning's DDP) share each batch of the preset and learn the same as one would.
     `threads` 0 leaves torch's choice. `start_from` is a checkpoint or an exported model folder whose weights begin the
     run: kpcn-vanilla's for the path variants, say (the authors tune R alone first, then attach F), or a shipped model's
     to go on with it on other data. Raises ValueError if `data` holds no data set or `out` belongs to another preset.
@@ -72,13 +80,16 @@ def fit(
         default_root_dir=out,
         max_steps=options.steps,
         accelerator="auto",
-        devices=1,
+        devices=devices,
+        num_nodes=nodes,
+        strategy="ddp" if devices * nodes > 1 else "auto",
+        use_distributed_sampler=False,  # batches come shared already; every process validates on all views
         precision="bf16-mixed" if uses_bf16(options.precision) else "32-true",
         gradient_clip_val=options.clip,
         val_check_interval=validate_every,
         check_val_every_n_epoch=None,
         num_sanity_val_steps=0,
-        log_every_n_steps=25,
+        log_every_n_steps=log_every,
         logger=CSVLogger(out, name="log"),
         callbacks=[
             ModelCheckpoint(out, save_last=True, save_top_k=0, every_n_train_steps=min(save_every, options.steps)),
@@ -88,16 +99,20 @@ def fit(
         enable_model_summary=False,
     )
     paths = config.network.embedding > 0
-    crops = Crops(data, config.data, seed, paths, skip=done)
-    held_out = ValidationViews(data, paths)
-    write_record(out, config, data, seed, start_from)
+    process = {"process": trainer.global_rank, "processes": trainer.world_size}
+    views = LiveViews(data, seed, **process) if isinstance(data, Live) else Stored(data)
+    held_out = views.held_out()
+    crops = Crops(views, config.data, seed, paths, skip=done, **process)
+    record = partial(write_record, out, config, views.lines, seed, start_from)
+    record()
     # batches are made whole by the data sets; one process keeps the batch stream and the resume exact
     train = DataLoader(crops, batch_size=None, num_workers=0)
-    validation = DataLoader(held_out, batch_size=None, num_workers=0)
+    validation = DataLoader(ValidationViews(held_out, paths), batch_size=None, num_workers=0)
     task = Denoising(config)
     if start_from and not last.is_file():
         warm_start(task, start_from)
     trainer.fit(task, train, validation, ckpt_path=last if last.is_file() else None, weights_only=False)
+    record()  # views rendered on the fly have joined
     trainer.save_checkpoint(last)  # the callback saves at multiples of `save_every` only
     return last
 
@@ -170,9 +185,9 @@ def completed_steps(checkpoint: Path, config: Config) -> int:
     return int(state["global_step"])
 
 
-def write_record(out: Path, config: Config, data: Path, seed: int, start_from: Path | None) -> None:
+@rank_zero_only
+def write_record(out: Path, config: Config, views: list[Line], seed: int, start_from: Path | None) -> None:
     """record.json beside the checkpoint: all that the model card says about how the weights came to be."""
-    views = read_index(data)
     train = [v for v in views if v["split"] == "train"]
     record = {
         "config": config.model_dump(),

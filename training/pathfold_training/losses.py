@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 import torch.nn.functional as functional
 from torch import Tensor
@@ -49,22 +51,34 @@ def tone_map(radiance: Tensor) -> Tensor:
 
 
 def manifold_loss(
-    embedding: Tensor, label: Tensor, counts: list[int], pairs: int, generator: torch.Generator
+    embedding: Tensor,
+    label: Tensor,
+    counts: list[int],
+    pairs: int,
+    generator: torch.Generator,
+    process: int = 0,
+    processes: int = 1,
+    gather: Callable[[Tensor], Tensor] | None = None,
 ) -> Tensor:
     """L_m, local plus non-local: mean of (|f_x - f_y|^2 - |tau_x - tau_y|^2)^2 (slides' formula, paper notes 5.1).
 
     embedding N x C x H x W (all samples of B images, image after image), label B x 3 x H x W (tone-mapped reference;
     every sample of a pixel shares it), `pairs` drawn per image for each of the two terms. Local pairs join samples of
-    one image, non-local ones samples anywhere in the batch. In fp32.
+    one image, non-local ones samples anywhere in the batch. In fp32. Where `processes` share a batch, each has B images
+    of it and gets the loss of the whole: `gather` makes processes x B x ... of the drawn samples, with their gradients.
     """
+    images, first = processes * len(counts), process * len(counts)
+    places = torch.rand(images, 2 * pairs, dtype=torch.float64, generator=generator)[first : first + len(counts)]
     chosen, labels = [], []
-    for part, tau in zip(torch.split(embedding.float(), counts), label, strict=True):
+    for part, tau, place in zip(torch.split(embedding.float(), counts), label, places, strict=True):
         samples, channels, height, width = part.shape
-        index = torch.randint(samples * height * width, (2 * pairs,), generator=generator).to(part.device)
+        index = (place * (samples * height * width)).long().to(part.device)
         pixel = index % (height * width)
         chosen.append(part.permute(1, 0, 2, 3).reshape(channels, -1)[:, index])  # C x 2 pairs
         labels.append(tau.reshape(3, -1)[:, pixel])
     f, t = torch.stack(chosen), torch.stack(labels)  # B x C x 2P, B x 3 x 2P
+    if gather is not None:
+        f, t = gather(f).flatten(0, 1), gather(t).flatten(0, 1)
     local = pair_error(f[..., :pairs], f[..., pairs:], t[..., :pairs], t[..., pairs:])
     flat_f, flat_t = f.transpose(0, 1).flatten(1), t.transpose(0, 1).flatten(1)
     order = torch.randperm(flat_f.shape[1], generator=generator).to(f.device)

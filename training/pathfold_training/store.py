@@ -1,13 +1,20 @@
-"""The data set on disk: DIR/views/<id>.safetensors, one per view, and DIR/index.jsonl, one line per whole view.
+"""The data set on disk, format 2: references that are kept, and noisy samples that can be rendered again at any spp.
 
-Tensors are C-contiguous [S, C, H, W] (references [C, H, W]), so a crop of a few samples touches little of the file.
-float32: samples.radiance, .diffuse, .depth, .density; reference.color, .diffuse, .diffuse.albedo, .half_a.color,
-.half_b.color; importance [H, W], a weight for drawing crops with mean 1.
-float16: samples.diffuse.albedo, .albedo, .normal, .descriptor.
+DIR/index.jsonl                  a line per view: scene description (seeds, camera, licence), spp, size and checksum of
+                                 its files; the last line of an id counts.
+DIR/references/<id>.safetensors  the whole view, float32 [C, H, W]: reference.color, .diffuse, .diffuse.albedo,
+                                 .half_a.color, .half_b.color; importance [H, W], weights of mean 1 for drawing crops.
+DIR/samples/<id>.safetensors     a shard with N crops of the view, [N, S, C, h, w]. float32: samples.radiance, .diffuse,
+                                 .depth, .density; float16: samples.diffuse.albedo, .albedo, .normal, .descriptor.
+                                 `crops` in the index says where they lie: [[y, x], ...]. May be deleted to save space.
+
+Tensors are C-contiguous, so a crop of a few samples touches little of the file.
 """
 
+import errno
 import hashlib
 import json
+import logging
 import os
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -17,83 +24,150 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 Arrays = dict[str, NDArray[Any]]
 Line = dict[str, Any]
-OPEN_FILES = 64
+FORMAT = 2
+REFERENCES, SAMPLES = KINDS = "references", "samples"
+OPEN_FILES = 128
+
+log = logging.getLogger("pathfold.store")
 
 
-class DamagedViewError(Exception):
-    """A view's file is missing, cut short or altered; the text names it."""
+class DamagedFileError(OSError):
+    """A file of the data set is missing, cut short or altered; the text names it."""
 
 
-def write_view(folder: Path, line: Line, tensors: Arrays, extra: dict[str, str] | None = None) -> Line:
-    """Writes a view beside its final name, then renames it: a file of that name is always whole.
+def file_path(folder: Path, kind: str, view: str) -> Path:
+    """`kind` is REFERENCES or SAMPLES."""
+    return folder / kind / f"{view}.safetensors"
 
-    Returns the index line with `bytes` and `sha256` of the file added. The line itself is in the file's metadata too.
+
+def write(folder: Path, line: Line, tensors: Arrays) -> Line:
+    """Writes what `tensors` holds of a view, references or samples or both; returns its index line with `files` added.
+
+    Each file is written beside its final name, then renamed: a file of that name is always whole. Its metadata repeats
+    the line, so that the index can be made again. Raises OSError naming the file where the disk is full, say.
     """
-    path = view_path(folder, line["id"])
+    line = line | {"format": FORMAT, "files": dict(line.get("files", {}))}
+    for kind in KINDS:
+        part = {name: np.ascontiguousarray(v) for name, v in tensors.items() if (kind == SAMPLES) == _of_samples(name)}
+        if part:
+            facts = {k: v for k, v in line.items() if k != "files"}
+            content = save(part, {"view": json.dumps(facts)})
+            write_whole(file_path(folder, kind, line["id"]), content)
+            line["files"][kind] = {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    return line
+
+
+def _of_samples(name: str) -> bool:
+    return name.startswith("samples.")
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Leaves the file as it was, or with all of the content."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(f".{os.getpid()}.partial")  # a killed run may have left a process at the same view
-    save_file(
-        {k: np.ascontiguousarray(v) for k, v in tensors.items()}, partial, {"view": json.dumps(line)} | (extra or {})
-    )
-    with partial.open("rb") as file:
-        os.fsync(file.fileno())
-    partial.replace(path)
-    return _sealed(path, line)
-
-
-def view_path(folder: Path, view: str) -> Path:
-    return folder / "views" / f"{view}.safetensors"
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        cure = "free some space and give the same command again" if error.errno == errno.ENOSPC else "nothing was kept"
+        raise OSError(error.errno, f"cannot write {path}: {error.strerror}; {cure}") from error
 
 
 def append_line(folder: Path, line: Line) -> None:
     """One writer only: the process that runs `render`."""
-    with (folder / "index.jsonl").open("a") as file:
-        file.write(json.dumps(line) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
+    try:
+        with (folder / "index.jsonl").open("a") as file:
+            file.write(json.dumps(line) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise OSError(error.errno, f"cannot write {folder / 'index.jsonl'}: {error.strerror}") from error
 
 
 def read_index(folder: Path) -> list[Line]:
-    """The views whose files are there with the right size; a last line cut short is left out."""
+    """The last line of every view, whatever has become of its files; a line cut short is left out.
+
+    Raises ValueError for a data set of another format.
+    """
     index = folder / "index.jsonl"
-    if not index.exists():
-        return []
     lines = {}
-    for text in index.read_text().splitlines():
+    for text in index.read_text().splitlines() if index.exists() else []:
         try:
             line = json.loads(text)
         except json.JSONDecodeError:
             continue
-        path = view_path(folder, line["id"])
-        if path.exists() and path.stat().st_size == line["bytes"]:
-            lines[line["id"]] = line
+        if line.get("format") != FORMAT:
+            raise ValueError(
+                f"{folder} holds a data set of format {line.get('format', 1)}, this version reads format {FORMAT}: "
+                "render it anew into another folder"
+            )
+        lines[line["id"]] = line
     return list(lines.values())
 
 
+def reference_color(folder: Path, view: str) -> NDArray[np.float32]:
+    """The reference of a view [3, H, W], linear, whether its samples are there or not."""
+    with safe_open(file_path(folder, REFERENCES, view), framework="numpy") as file:
+        return file.get_tensor("reference.color")
+
+
+def present(folder: Path, line: Line, kind: str) -> bool:
+    """The file is there and as long as it was."""
+    path, sealed = file_path(folder, kind, line["id"]), line["files"].get(kind)
+    return sealed is not None and path.exists() and path.stat().st_size == sealed["bytes"]
+
+
+def damaged(folder: Path, lines: list[Line]) -> Iterator[Path]:
+    """Files that are there but no longer what was written; reads every byte."""
+    for line in lines:
+        for kind, sealed in line["files"].items():
+            path = file_path(folder, kind, line["id"])
+            if path.exists() and _digest(path) != sealed["sha256"]:
+                yield path
+
+
 def recover(folder: Path) -> list[Line]:
-    """Makes the index agree with the files after an interruption: lines without a whole file leave, others enter."""
-    known = {line["id"]: line for line in read_index(folder)}
-    for path in sorted((folder / "views").glob("*.safetensors")):
-        if path.stem not in known:
-            try:
-                with safe_open(path, framework="numpy") as file:
-                    known[path.stem] = _sealed(path, json.loads(file.metadata()["view"]))
-            except (SafetensorError, KeyError, TypeError):
-                path.unlink()
-    for path in (folder / "views").glob("*.partial"):
+    """Makes index and files agree after an interruption and returns the lines of the views whose reference is whole.
+
+    Damaged files are removed, each with a warning, so that they are rendered again; whole files that the index does not
+    know, because the process was killed before it wrote the line, are taken up. Reads every byte.
+    """
+    lines = {line["id"]: line for line in read_index(folder)}
+    for path in damaged(folder, list(lines.values())):
+        log.warning("%s is damaged and will be rendered again", path)
         path.unlink()
-    partial = folder / "index.partial"
-    partial.write_text("".join(json.dumps(line) + "\n" for line in known.values()))
-    partial.replace(folder / "index.jsonl")
-    return list(known.values())
+    for kind in KINDS:
+        for path in (folder / kind).glob("*.partial"):
+            path.unlink()
+        for path in sorted((folder / kind).glob("*.safetensors")):
+            if kind not in lines.get(path.stem, {"files": {}})["files"]:
+                _take_up(lines, kind, path)
+    for line in lines.values():
+        line["files"] = {k: v for k, v in line["files"].items() if file_path(folder, k, line["id"]).exists()}
+    kept = [line for line in lines.values() if REFERENCES in line["files"]]
+    write_whole(folder / "index.jsonl", "".join(json.dumps(line) + "\n" for line in kept).encode())
+    return kept
 
 
-def _sealed(path: Path, line: Line) -> Line:
-    return line | {"bytes": path.stat().st_size, "sha256": _digest(path)}
+def _take_up(lines: dict[str, Line], kind: str, path: Path) -> None:
+    """Adds a file that the index does not know; removes it if it cannot be read."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            facts = json.loads(file.metadata()["view"])
+    except (SafetensorError, KeyError, TypeError):
+        path.unlink()
+        return
+    line = lines.setdefault(path.stem, facts | {"files": {}})
+    line |= facts
+    line["files"][kind] = {"bytes": path.stat().st_size, "sha256": _digest(path)}
 
 
 def _digest(path: Path) -> str:
@@ -102,20 +176,25 @@ def _digest(path: Path) -> str:
 
 
 class Store:
-    """Reads a data set; views may still be added while it is open (`refresh`). Safe to hand to loader processes."""
+    """Reads a data set by memory map. Every file is checked against its checksum when first opened.
+
+    `lines` are the views whose files are all there. Safe to hand to loader processes.
+    """
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        self.refresh()
+        lines = read_index(self.folder)
+        self.lines = [line for line in lines if all(present(self.folder, line, kind) for kind in KINDS)]
+        again = f"`pathfold-train render --out {self.folder}`"
+        if not self.lines and lines:
+            raise FileNotFoundError(f"no view in {self.folder} has its samples: render them again with {again}")
         if not self.lines:
-            raise FileNotFoundError(
-                f"no whole view in {self.folder}: make some with `pathfold-train render --out {self.folder}`"
-            )
-
-    def refresh(self) -> None:
-        """Looks for views that have been finished since."""
-        self.lines: list[Line] = read_index(self.folder)
-        self._open: OrderedDict[str, Any] = OrderedDict()
+            raise FileNotFoundError(f"no whole view in {self.folder}: make some with {again}")
+        if missing := len(lines) - len(self.lines):
+            log.warning("%s: %d views left out, a file is missing or cut short; %s mends it", folder, missing, again)
+        self._sealed = {line["id"]: line["files"] for line in self.lines}
+        self._checked: set[Path] = set()
+        self._open: OrderedDict[Path, Any] = OrderedDict()
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_open": OrderedDict()}
@@ -124,55 +203,23 @@ class Store:
         """Index lines of "train" or "val"."""
         return [line for line in self.lines if line["split"] == name]
 
-    def crop(
-        self,
-        view: str,
-        y: int,
-        x: int,
-        height: int,
-        width: int,
-        names: list[str] | None = None,
-        samples: slice = slice(None),
-    ) -> Arrays:
-        """The tensors called `names` (default: all), cut to a window and a range of samples; the rest is not read."""
-        file = self._file(view)
-        window = slice(y, y + height), slice(x, x + width)
-        result = {}
-        for name in names or file.keys():
-            lead = (
-                (samples, slice(None))
-                if name.startswith("samples.")
-                else ()
-                if name == "importance"
-                else (slice(None),)
-            )
-            result[name] = file.get_slice(name)[(*lead, *window)]
-        return result
+    def tensor(self, view: str, name: str) -> Any:
+        """A tensor of a view by name; nothing is read until it is indexed. Raises DamagedFileError."""
+        return self._file(SAMPLES if _of_samples(name) else REFERENCES, view).get_slice(name)
 
-    def view(self, view: str, names: list[str] | None = None) -> Arrays:
-        """Whole tensors."""
-        file = self._file(view)
-        return {name: file.get_tensor(name) for name in names or file.keys()}
-
-    def exposure(self, view: str) -> float:
-        """The exposure of the reference (log-average, key 0.18)."""
-        return float(self._file(view).metadata()["exposure"])
-
-    def _file(self, view: str) -> Any:
-        if view not in self._open:
+    def _file(self, kind: str, view: str) -> Any:
+        path = file_path(self.folder, kind, view)
+        if path not in self._open:
             try:
-                self._open[view] = safe_open(view_path(self.folder, view), framework="numpy")
+                if path not in self._checked and _digest(path) != self._sealed[view][kind]["sha256"]:
+                    raise OSError("its checksum differs")
+                self._open[path] = safe_open(path, framework="numpy")
             except (SafetensorError, OSError) as error:
-                raise DamagedViewError(
-                    f"view {view} in {self.folder}: {error}; remove the file and run `pathfold-train render` again"
+                raise DamagedFileError(
+                    f"{path} is damaged ({error}); `pathfold-train render --out {self.folder}` renders it again"
                 ) from error
+            self._checked.add(path)
             if len(self._open) > OPEN_FILES:
                 self._open.popitem(last=False)
-        self._open.move_to_end(view)
-        return self._open[view]
-
-    def damaged(self) -> Iterator[str]:
-        """Ids of views whose content no longer has its checksum; reads every byte."""
-        for line in self.lines:
-            if _digest(view_path(self.folder, line["id"])) != line["sha256"]:
-                yield line["id"]
+        self._open.move_to_end(path)
+        return self._open[path]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import lightning
 import torch
@@ -91,15 +93,32 @@ class Denoising(lightning.LightningModule):
                 if predicted.paths is not None and self.config.loss.manifold > 0.0:
                     pairs = self.config.loss.manifold_pairs
                     manifold.append(
-                        manifold_loss(predicted.paths, tone_map(target.label), batch.counts, pairs, self.generator)
+                        manifold_loss(
+                            predicted.paths,
+                            tone_map(target.label),
+                            batch.counts,
+                            pairs,
+                            self.generator,
+                            **self.sharing(),
+                        )
                     )
         error = robust_relative(image, on_lattice(reference, lattice, offset), scale)
         loss = error + self.config.loss.branch * sum(terms) + self.config.loss.logits * sum(excess)
         if manifold:
             loss = loss + self.config.loss.manifold * sum(manifold)
-            self.log("manifold", sum(manifold), prog_bar=True, batch_size=len(batch.counts))
-        self.log("image", error, prog_bar=True, batch_size=len(batch.counts))
+            self.log("manifold", sum(manifold), prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
+        self.log("image", error, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         return loss
+
+    def sharing(self) -> dict[str, Any]:
+        """Which of how many processes this is, and how to fetch what the others hold: manifold_loss's arguments.
+
+        DDP averages gradients over processes, and the gradient of a gathered tensor is summed over them, so a loss of
+        the whole batch that all of them compute weighs as it would in one process.
+        """
+        processes = self.trainer.world_size
+        gather = partial(self.all_gather, sync_grads=True) if processes > 1 else None
+        return {"process": self.global_rank, "processes": processes, "gather": gather}
 
     def validation_step(self, batch: Batch, step: int) -> None:
         exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
@@ -107,7 +126,7 @@ class Denoising(lightning.LightningModule):
         error = (self.denoise(batch) * exposure - reference).square() / (reference.square() + 0.01)
         noisy = (batch.inputs["color"] * exposure - reference).square() / (reference.square() + 0.01)
         # geometric mean over views of the ratio to the input: no view dominates
-        self.log("val_ratio_log", torch.log(error.mean() / noisy.mean()), prog_bar=True, batch_size=1)
+        self.log("val_ratio_log", torch.log(error.mean() / noisy.mean()), prog_bar=True, batch_size=1, sync_dist=True)
 
     def denoise(self, batch: Batch) -> Tensor:
         """The whole frame, linear unexposed radiance B x 3 x H x W."""

@@ -1,4 +1,4 @@
-"""Aiming cameras, and refusing views that show a wall, the void, darkness or glare."""
+"""Aiming cameras, and searching for one whose view has no fault."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from .faults import RejectedError, Survey, geometry_fault, picture_fault
+
 Vector = NDArray[np.float64]
 RAYS = 48  # a view is surveyed by RAYS x RAYS camera rays
-
-
-class RejectedError(Exception):
-    """No acceptable view was found; the text counts the reasons."""
 
 
 class Camera(NamedTuple):
@@ -28,14 +26,6 @@ class Camera(NamedTuple):
     up: Vector
     fov: float
     blur: float = 0
-
-
-class Survey(NamedTuple):
-    """What camera rays hit: points [N, 3], distances [N] (infinite on a miss), ids of shapes [N]."""
-
-    points: Vector
-    distance: Vector
-    shape: NDArray[np.uint32]
 
 
 def aim(scene: mi.Scene, camera: Camera, size: tuple[int, int]) -> None:
@@ -89,39 +79,6 @@ def survey(scene: mi.Scene) -> Survey:
     return cast(scene, np.array(ray.o).T.astype(float).reshape(-1, 3), np.array(ray.d).T.astype(float))
 
 
-def geometry_fault(seen: Survey) -> str | None:
-    """Why the view is not worth rendering, from the distances and shapes alone."""
-    hit = np.isfinite(seen.distance)
-    if hit.mean() < 0.4:
-        return "sees nothing"
-    middle = np.median(seen.distance[hit])
-    if (seen.distance[hit] < 0.15 * middle).mean() > 0.2:
-        return "something before the lens"
-    share = np.sort(np.bincount(np.unique(seen.shape, return_inverse=True)[1]))[::-1] / len(hit)
-    if share[0] > 0.9 or (share > 0.004).sum() < 3:
-        return "one surface only"
-    spread = np.percentile(seen.distance[hit], [5, 95])
-    if spread[1] < 1.15 * spread[0]:
-        return "looks into a wall"
-    return None
-
-
-def picture_fault(color: NDArray[np.float32]) -> str | None:
-    """Why a rendered view [H, W, 3] is refused: black, blown out or flat; noise is averaged away in blocks of 8."""
-    luminance = np.nan_to_num(color.astype(np.float64) @ [0.2126, 0.7152, 0.0722])
-    height, width = (n // 8 * 8 for n in luminance.shape)
-    blocks = luminance[:height, :width].reshape(height // 8, 8, width // 8, 8).mean((1, 3))
-    if blocks.mean() < 1e-5 or (blocks < 0.03 * blocks.mean()).mean() > 0.4:
-        return "black"
-    exposed = 0.18 * blocks / np.exp(np.log(np.maximum(blocks, 1e-3 * blocks.mean())).mean())
-    tone = (exposed / (1 + exposed)) ** (1 / 2.2)
-    if (tone > 0.93).mean() > 0.4:
-        return "blown out"
-    if tone.std() < 0.04:
-        return "flat"
-    return None
-
-
 def find(
     scene: mi.Scene,
     propose: Callable[[Generator], Camera | None],
@@ -153,3 +110,11 @@ def find(
         if drafts == 8:
             break
     raise RejectedError(", ".join(f"{n} x {reason}" for reason, n in reasons.most_common()))
+
+
+def window(scene: mi.Scene, corner: tuple[int, int], size: tuple[int, int]) -> None:
+    """Restricts the first sensor's film to width x height pixels from (x, y) on; the picture stays where it was."""
+    params = mi.traverse(scene.sensors()[0])
+    params["film.crop_size"] = list(size)
+    params["film.crop_offset"] = list(corner)
+    params.update()

@@ -1,0 +1,221 @@
+"""One view: its scene built or loaded, the camera aimed, the reference and noisy samples of some crops rendered."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .scenes.faults import RejectedError
+from .store import Arrays, Line
+
+LIBRARY_DEPTH = 6  # scenes of a library state depths up to 65; one value keeps the data alike, and cost grows with it
+LANES = 1 << 22  # samples traced in one call
+BUSY = threading.Lock()  # Mitsuba's variant and its threads belong to the process: one view at a time
+
+
+@dataclass(frozen=True)
+class Task:
+    """One view to render: a procedural seed, or camera `number` of a scene file.
+
+    `known` is the view's index line where the reference exists and only samples are wanted.
+    """
+
+    id: str
+    kind: str  # procedural | library
+    scene: str
+    split: str
+    number: int
+    seed: int
+    size: int
+    spp: int
+    budget: float
+    crop: int = 128  # side of the windows that samples are kept of
+    crops: int = 1  # how many of them at most
+    licence: str = "CC0-1.0"
+    origin: str = "made in code"
+    path: str = ""
+    variant: str = "llvm_ad_rgb"
+    known: Line | None = None
+
+
+DESCRIPTION = ("id", "kind", "scene", "split", "number", "seed", "licence", "origin")  # of a task, kept in its line
+
+
+def entropy(seed: int, *words: object) -> NDArray[np.uint32]:
+    """Four 32-bit seeds that belong to these words."""
+    words_hash = zlib.crc32("/".join(map(str, words)).encode())
+    return np.random.SeedSequence([seed, words_hash]).generate_state(4).astype(np.uint32)
+
+
+def render_view(task: Task) -> tuple[Line, Arrays]:
+    """The view's index line and its tensors as the store names them: references (unless known), samples.
+
+    Everything but the reference's sample count depends on the task alone. Raises RejectedError where no view is worth
+    its cost, ImportError where the variant is not there.
+    """
+    with BUSY:
+        import drjit as dr
+        import mitsuba as mi
+
+        if mi.variant() != task.variant:
+            mi.set_variant(task.variant)
+        begin = time.process_time()
+        try:
+            scene, line = _known_scene(task, task.known) if task.known else _new_scene(task)
+            line, tensors = _render(task, scene, line)
+        finally:
+            scene = None
+            gc.collect()
+            dr.flush_malloc_cache()  # a worker goes on with other scenes
+        seconds = round(line.get("cpu_seconds", 0) + time.process_time() - begin, 1)
+        return line | {"cpu_seconds": seconds}, tensors
+
+
+def _render(task: Task, scene: Any, line: Line) -> tuple[Line, Arrays]:
+    from .reference import render_reference
+    from .scenes.faults import picture_fault
+
+    tensors: Arrays = {}
+    if not task.known:
+        seeds = [int(s) for s in entropy(task.seed, task.id, "reference")[:2]]
+        tensors, facts = render_reference(scene, task.budget, line["max_depth"], seeds)
+        if fault := picture_fault(np.moveaxis(tensors["reference.color"], 0, -1)):
+            raise RejectedError(f"its picture is {fault}")
+        crop = min(task.crop, task.size)
+        corners = choose_crops(tensors["importance"], crop, task.crops, entropy(task.seed, task.id, "crops"))
+        line = line | facts | {"crop": crop, "crops": corners}
+    tensors |= _samples(scene, task, line)
+    return line | {"spp": task.spp}, tensors
+
+
+def choose_crops(weight: NDArray[Any], side: int, count: int, seed: NDArray[np.uint32]) -> list[list[int]]:
+    """Corners [y, x] of at most `count` of the tiles that cover the view, drawn by mean weight without repeats."""
+    starts = [np.linspace(0, n - side, -(-n // side)).astype(int) for n in weight.shape]
+    tiles = [[int(y), int(x)] for y in starts[0] for x in starts[1]]
+    share = np.array([weight[y : y + side, x : x + side].mean() for y, x in tiles])
+    chosen = np.random.default_rng(seed).choice(
+        len(tiles), min(count, len(tiles)), replace=False, p=share / share.sum()
+    )
+    return [tiles[i] for i in sorted(chosen)]
+
+
+def _samples(scene: Any, task: Task, line: Line) -> Arrays:
+    """Noisy samples of the view's crops, [N, S, C, h, w]; equal tasks give equal samples."""
+    from pathfold.mitsuba import trace
+
+    from .scenes import cameras
+
+    side = line["crop"]
+    chunk = max(1, LANES // side**2)
+    crops = []
+    for number, (y, x) in enumerate(line["crops"]):
+        cameras.window(scene, (x, y), (side, side))
+        parts = []
+        for first in range(0, task.spp, chunk):
+            seed = int(entropy(task.seed, task.id, "samples", number, first)[0])
+            parts.append(trace(scene, min(chunk, task.spp - first), seed, line["max_depth"]))
+        crops.append({name: np.concatenate([_plane(part, name) for part in parts]) for name in SAMPLE_TYPES})
+    return {f"samples.{name}": np.stack([crop[name] for crop in crops]) for name in SAMPLE_TYPES}
+
+
+SAMPLE_TYPES = {
+    "radiance": np.float32,
+    "diffuse": np.float32,
+    "depth": np.float32,
+    "density": np.float32,
+    "diffuse.albedo": np.float16,
+    "albedo": np.float16,
+    "normal": np.float16,
+    "descriptor": np.float16,
+}
+
+
+def _plane(samples: Any, name: str) -> NDArray[Any]:
+    """S x H x W x C of the tracer as [S, C, H, W]."""
+    return np.moveaxis(getattr(samples, name.replace(".", "_")), -1, 1).astype(SAMPLE_TYPES[name])
+
+
+def _draft(depth: int) -> Any:
+    from pathfold.mitsuba import trace_mean
+
+    return lambda scene: trace_mean(scene, spp=8, seed=1, max_depth=depth)["color"]
+
+
+def _new_scene(task: Task) -> tuple[Any, Line]:
+    """The scene with a camera found and aimed, and the line that describes both."""
+    from .scenes import cameras, library
+
+    size = task.size, task.size
+    line: Line = {name: getattr(task, name) for name in DESCRIPTION}
+    line |= {"width": task.size, "height": task.size, "path": task.path}
+    if task.kind == "library":
+        scene = _load_file(task)
+        rng = np.random.default_rng(entropy(task.seed, task.scene, "cameras"))
+        camera = library.choose(scene, task.number, _draft(LIBRARY_DEPTH), rng, size)
+        return scene, line | {"content": "library", "max_depth": LIBRARY_DEPTH, "camera": _plain(camera)}
+    reasons = []
+    for attempt in range(4):
+        state = entropy(task.seed, task.id, attempt)
+        built, scene = _build(int(state[0]))
+        try:
+            rng = np.random.default_rng(state[1])
+            camera = cameras.find(scene, built.propose, _draft(built.max_depth), rng, size)
+        except RejectedError as error:
+            reasons.append(f"{built.kind} ({error})")
+            continue
+        line |= {"content": built.kind, "max_depth": built.max_depth, "scene_seed": int(state[0])}
+        return scene, line | {"camera": _plain(camera)}
+    raise RejectedError("; ".join(reasons))
+
+
+def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
+    """The scene of an index line with its camera aimed again."""
+    from .scenes import cameras
+
+    size = line["width"], line["height"]
+    scene = _load_file(task) if line["kind"] == "library" else _build(line["scene_seed"])[1]
+    if line["camera"]:
+        pose = line["camera"]
+        origin, target, up = (np.array(pose[name]) for name in ("origin", "target", "up"))
+        cameras.aim(scene, cameras.Camera(origin, target, up, pose["fov"], pose["blur"]), size)
+    else:
+        cameras.resize(scene, size)
+    return scene, {k: v for k, v in line.items() if k != "files"}
+
+
+def _build(seed: int) -> tuple[Any, Any]:
+    import drjit as dr
+
+    from .scenes import procedural
+
+    dr.set_thread_count(2)  # with fewer, Mitsuba's loaders wait for each other
+    built = procedural.build(seed)
+    scene = built.stage.load()
+    dr.set_thread_count(1)
+    return built, scene
+
+
+def _load_file(task: Task) -> Any:
+    import drjit as dr
+
+    from .scenes import library
+
+    dr.set_thread_count(2)
+    scene = library.load(library.Entry(Path(task.path), task.scene, task.licence, task.origin))
+    dr.set_thread_count(1)
+    return scene
+
+
+def _plain(camera: Any) -> Line | None:
+    """A camera for JSON; None stands for the scene's own."""
+    if camera is None:
+        return None
+    return {k: v.tolist() if isinstance(v, np.ndarray) else float(v) for k, v in camera._asdict().items()}
