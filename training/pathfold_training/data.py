@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import Dataset, IterableDataset, get_worker_info
+from torch.utils.data import Dataset, IterableDataset
 
 from .config import Data
 from .features import OPTIONAL
@@ -132,7 +132,7 @@ class Crops(IterableDataset):
     """An endless stream of training Batches, each mixed from all views; the same seed gives the same stream.
 
     `views` gives the views to draw from at a step. Of `processes` that train together each draws its share of every
-    batch, and of a loader's workers each makes every so-many-th batch: the stream is the same however it is shared.
+    batch; the shares together are what one process would draw.
     """
 
     def __init__(
@@ -153,8 +153,7 @@ class Crops(IterableDataset):
         self.items = range(process * share, (process + 1) * share)
 
     def __iter__(self) -> Iterator[Batch]:
-        worker = get_worker_info()
-        for step in count(self.skip + (worker.id if worker else 0), worker.num_workers if worker else 1):
+        for step in count(self.skip):
             views = self.views(step)
             # an item depends on seed, step and place alone: exact resume, and the same whoever draws it
             yield collate([self.draw(views, np.random.default_rng([self.seed, step, item])) for item in self.items])

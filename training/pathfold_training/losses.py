@@ -78,7 +78,10 @@ def manifold_loss(
         labels.append(tau.reshape(3, -1)[:, pixel])
     f, t = torch.stack(chosen), torch.stack(labels)  # B x C x 2P, B x 3 x 2P
     if gather is not None:
-        f, t = gather(f).flatten(0, 1), gather(t).flatten(0, 1)
+        f, t = gather(f), gather(t)
+        if f.requires_grad:  # torch 2.13 mixes up the values of a gathered tensor's gradient unless it is contiguous
+            f.register_hook(torch.Tensor.contiguous)
+        f, t = f.flatten(0, 1), t.flatten(0, 1)
     local = pair_error(f[..., :pairs], f[..., pairs:], t[..., :pairs], t[..., pairs:])
     flat_f, flat_t = f.transpose(0, 1).flatten(1), t.transpose(0, 1).flatten(1)
     order = torch.randperm(flat_f.shape[1], generator=generator).to(f.device)

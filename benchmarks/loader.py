@@ -1,0 +1,102 @@
+"""How many batches a second the loader makes, over how many the training step takes: below 1 it would starve.
+
+    python benchmarks/loader.py [PRESET ...] [--data DIR] [--batches 10] [--json]
+
+Without --data it writes a data set of noise into a temporary folder, 8 views of 128 x 128 pixels at 16 spp: what a
+loader does depends on sizes alone. Batches and steps are timed in turns and medians compared, so that a busy machine
+slows both alike; one thread, as in docs/training.md. The file system's cache is warm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import torch
+from pathfold_training import store
+from pathfold_training.config import Config, load_preset
+from pathfold_training.data import Batch, Crops, Stored
+from pathfold_training.task import Denoising
+
+SIDE, SPP = 128, 16
+
+
+def write_noise(folder: Path, views: int = 8) -> Path:
+    rng = np.random.default_rng(0)
+    channels = {"radiance": 3, "diffuse": 3, "depth": 1, "density": 1}
+    half = {"diffuse.albedo": 3, "albedo": 3, "normal": 3, "descriptor": 36}
+    folder.mkdir(exist_ok=True)
+    for number in range(views):
+        tensors: store.Arrays = {}
+        for names, kind in ((channels, np.float32), (half, np.float16)):
+            for name, count in names.items():
+                tensors[f"samples.{name}"] = rng.random((1, SPP, count, SIDE, SIDE), np.float32).astype(kind)
+        for name in ("color", "diffuse", "diffuse.albedo"):
+            tensors[f"reference.{name}"] = rng.random((3, SIDE, SIDE), np.float32)
+        tensors["importance"] = np.ones((SIDE, SIDE), np.float32)
+        line = {"id": str(number), "split": "train" if number else "val", "spp": SPP, "crop": SIDE, "crops": [[0, 0]]}
+        store.append_line(folder, store.write(folder, line | {"exposure": 1.0, "depth_scale": 1.0}, tensors))
+    return folder
+
+
+def seconds(run: Callable[[], Any]) -> tuple[float, Any]:
+    start = time.perf_counter()
+    result = run()
+    return time.perf_counter() - start, result
+
+
+def measure(config: Config, data: Path, batches: int) -> dict[str, float]:
+    """Medians in seconds for a batch and for a step of training on it, and megabytes of tensors a second."""
+    stream = iter(Crops(Stored(data), config.data, seed=0, paths=config.network.embedding > 0))
+    task = Denoising(config)
+    task.log = lambda *_, **__: None  # type: ignore[method-assign]
+    task.trainer = SimpleNamespace(world_size=1, global_rank=0, global_step=0)  # type: ignore[assignment]
+    adam = torch.optim.Adam(task.parameters())
+    bf16 = config.optimiser.precision == "bf16"
+
+    def step(batch: Batch) -> None:
+        with torch.autocast("cpu", torch.bfloat16, enabled=bf16):
+            loss = task.training_step(batch, 0)
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+
+    times, size = [], 0
+    for _ in range(batches + 1):
+        loading, batch = seconds(lambda: next(stream))
+        size = sum(t.numel() * t.element_size() for t in (*batch.inputs.values(), *batch.reference.values()))
+        times.append((loading, seconds(lambda batch=batch: step(batch))[0], size / loading / 1e6))
+    loading, training, rate = np.median(times[1:], 0)  # the first opens files
+    return {"batch": float(loading), "step": float(training), "ratio": float(training / loading), "MB/s": float(rate)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("presets", nargs="*", default=["kpcn-vanilla", "kpcn-manifold"])
+    parser.add_argument("--data", type=Path, help="data set made by 'pathfold-train render'")
+    parser.add_argument("--batches", type=int, default=10)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    with tempfile.TemporaryDirectory() as folder:
+        data = options.data or write_noise(Path(folder))
+        results = {name: measure(load_preset(name), data, options.batches) for name in options.presets}
+    if options.json:
+        print(json.dumps(results, indent=2))
+        return
+    for name, found in results.items():
+        print(
+            f"{name}: a batch in {1e3 * found['batch']:.0f} ms ({found['MB/s']:.0f} MB/s), "
+            f"a step in {1e3 * found['step']:.0f} ms: {found['ratio']:.1f} batches a step"
+        )
+
+
+if __name__ == "__main__":
+    main()
