@@ -102,6 +102,7 @@ def fit(
     process = {"process": trainer.global_rank, "processes": trainer.world_size}
     views = LiveViews(data, seed, **process) if isinstance(data, Live) else Stored(data)
     held_out = views.held_out()
+    views(done)  # on the fly: the first are rendered before the clock of training runs
     crops = Crops(views, config.data, seed, paths, skip=done, **process)
     record = partial(write_record, out, config, views.lines, seed, start_from)
     record()
