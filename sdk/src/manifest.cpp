@@ -86,9 +86,11 @@ public:
     }
 
     int64_t integer(int64_t least, int64_t most) const {
-        if (!value_.is_number_integer() || value_ < least || value_ > most)
+        // JSON has one kind of number: 8.0 is an integer.
+        const double value = value_.is_number() ? value_.get<double>() : 0.5;
+        if (value != std::floor(value) || value < double(least) || value > double(most))
             wrong("an integer from ", least, " to ", most);
-        return value_.get<int64_t>();
+        return int64_t(value);
     }
 
     double number(double least, double most) const {
@@ -176,6 +178,8 @@ std::vector<std::string> read_buffers(const Field &field) {
     for (const Field &item : field.items()) {
         if (find_buffer(item.string()) == nullptr)
             item.wrong("the name of a buffer: ", buffer_names());
+        if (std::find(names.begin(), names.end(), item.string()) != names.end())
+            item.wrong("there once");
         names.push_back(item.string());
     }
     return names;
@@ -318,6 +322,8 @@ Manifest Manifest::parse(const std::string &text) {
     Manifest manifest;
     manifest.text = text;
     manifest.name = root.at("name").string();
+    if (manifest.name.empty())
+        root.at("name").wrong("a string that is not empty");
     manifest.description = root.has("description") ? root.at("description").string() : "";
     manifest.license = root.at("license").string();
     manifest.requires_ = read_buffers(root.at("requires"));

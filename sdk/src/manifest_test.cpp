@@ -62,6 +62,9 @@ TEST(Manifest, ComplaintsNameTheKey) {
     expect_wrong(with("/reconstruction/trust", 1), "reconstruction.trust is 1");
     expect_wrong(with("/samples_per_pixel/max", 0), "samples_per_pixel.max");
     expect_wrong(with("/exposure/key", 1e9), "exposure.key");
+    expect_wrong(with("/name", ""), "name is \"\"", "not empty");
+    expect_wrong(with("/requires", {"color", "color"}), "requires[1]", "once");
+    EXPECT_EQ(Manifest::parse(with("/tile/overlap", 8.0)).tile_overlap, 8);
 }
 
 TEST(Manifest, NoStringMaySteerATerminal) {
