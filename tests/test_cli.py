@@ -93,6 +93,16 @@ def test_denoise_map_layer_and_exposure(run, tmp_path: Path) -> None:
     assert (before.read(0, range(7, 10)) != after.read(0, range(7, 10))).all((0, 1)).any()
 
 
+def test_denoise_says_what_it_left_out(run, tmp_path: Path) -> None:
+    source = with_samples(tmp_path / "in.exr")
+    arguments = ["denoise", source, "-o", tmp_path / "out.exr", "-m", "split-5"]
+    assert "left out input color: not read by the model for this frame (saved about" in run(*arguments)[1]
+    code, out, _ = run(*arguments, "--leave-out", "none")
+    assert code == 0 and "left out" not in out
+    code, _, err = run(*arguments, "--leave-out", "pixels")
+    assert code == 3 and 'leave_out is "pixels"; it must be all, none' in err
+
+
 def test_denoise_quietly(run, tmp_path: Path) -> None:
     source = beauty(tmp_path / "in.exr")
     assert run("denoise", source, "-o", tmp_path / "out.exr", "-q", "-m", "single-3") == (0, "", "")
@@ -200,6 +210,9 @@ def test_render(run, tmp_path: Path) -> None:
     assert samples.count(file) == 3
     kinds = dict(zip(file.parts[1].channelnames, map(str, file.parts[1].channelformats), strict=True))
     assert kinds["samples.000.path.density"] == "float" and kinds["samples.000.path.tag.0"] == "half"
+
+    # A path of depth 4 has at most 4 vertices; the others are not written.
+    assert "samples.000.path.tag.3" in kinds and "samples.000.path.tag.4" not in kinds
 
     # Through the file or straight through memory: the same pixels.
     assert run("denoise", tmp_path / "noisy.exr", "-o", tmp_path / "a.exr", "-m", "samples-5")[0] == 0

@@ -164,6 +164,28 @@ def test_exposure_is_reported_and_can_be_given(tiny: Path) -> None:
     assert (denoiser.run(picture(), exposure=7.0).color != automatic.color).any()
 
 
+def test_what_is_left_out_can_be_chosen(tiny: Path) -> None:
+    frame = split_frame() | {"specular": np.zeros((H, W, 3), np.float32)}
+    frame["color"] = frame["diffuse"]
+    results = {names: pathfold.Denoiser("split-5", leave_out=names).run(**frame) for names in ("all", "none", "inputs")}
+    for result in results.values():
+        assert result.color == pytest.approx(results["none"].color, rel=1e-5)
+    said = {names: [line["what"] for line in result.report["left_out"]] for names, result in results.items()}
+    assert said == {"all": ["branch specular", "input color"], "none": [], "inputs": ["input color"]}
+    with pytest.raises(
+        pathfold.PathfoldError, match='leave_out is "pixels"; it must be all, none, or some of branches'
+    ):
+        pathfold.Denoiser("split-5", leave_out="pixels")
+
+
+def test_converged_tiles_are_copied_where_asked(tiny: Path) -> None:
+    color, variance = 1 + picture(), np.full((H, W, 3), 1e-6, np.float32)
+    denoiser = pathfold.Denoiser("split-5", leave_out="all,converged")
+    copied = denoiser.run(color, variance=variance, samples_per_pixel=16)
+    assert (copied.color == color).all() and copied.report["left_out"][0]["what"] == "all tiles"
+    assert (denoiser.run(color, variance=variance).color != color).any()  # nobody says how many samples
+
+
 def test_progress_grows_and_cancels(tiny: Path) -> None:
     denoiser = pathfold.Denoiser("single-3", tile=8)
     seen: list[float] = []

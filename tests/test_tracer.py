@@ -12,6 +12,7 @@ if mi.variant() != "llvm_ad_rgb":
     mi.set_variant("llvm_ad_rgb")
 
 import tracer_scenes as scenes
+from pathfold.channels import samples
 from pathfold.mitsuba import Samples, trace, trace_mean
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
@@ -238,3 +239,19 @@ def test_other_objects_and_variants_are_named(scene: Any) -> None:
             trace(scene)
     finally:
         mi.set_variant("llvm_ad_rgb")
+
+
+@only(scenes.glassware)
+@pytest.mark.parametrize("max_depth", [1, 3])
+def test_no_path_has_more_vertices_than_its_depth_allows(scene: Any, max_depth: int) -> None:
+    """So `render` need not write more of them, and what is left out is dead in all samples."""
+    whole = trace(scene, spp=2, max_depth=max_depth).descriptor
+    part = trace(scene, spp=2, max_depth=max_depth, vertices=max_depth).descriptor
+    names, kept = samples.descriptor(6), samples.descriptor(max_depth)
+    assert whole is not None and part is not None
+    assert part.shape[-1] == len(kept)
+    for number, name in enumerate(names):
+        if name in kept:
+            assert (whole[..., number] == part[..., kept.index(name)]).all(), name
+        else:
+            assert (whole[..., number] == (-100 if "attenuation" in name else 0)).all(), name

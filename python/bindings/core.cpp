@@ -70,17 +70,18 @@ using Layers = std::map<std::string, Arrays>;
 /// One model applied to frames; Python threads that share one take turns.
 class Denoiser {
 public:
-    Denoiser(const pathfold::Model &model, int memory_mb, int tile, bool leave_out) : denoiser_(model) {
-        denoiser_.set("memory_mb", memory_mb).set("tile", tile).set("leave_out", leave_out ? 1 : 0);
+    Denoiser(const pathfold::Model &model, int memory_mb, int tile, const std::string &leave_out)
+        : denoiser_(model) {
+        denoiser_.set("memory_mb", memory_mb).set("tile", tile).leave_out(leave_out);
     }
 
     py::tuple run(const Arrays &buffers, const std::optional<Layers> &layers,
-                  const std::optional<double> &exposure, const py::object &progress) {
+                  const std::optional<double> &exposure, const py::object &progress, int samples_per_pixel) {
         if (exposure && !(*exposure > 0))
             invalid("exposure is " + std::to_string(*exposure) + "; it must be > 0, or None");
         const Turn turn(*this);
         denoiser_.clear();
-        denoiser_.set("exposure", exposure.value_or(0));
+        denoiser_.set("exposure", exposure.value_or(0)).set("samples_per_pixel", samples_per_pixel);
         std::vector<py::array> kept; // memory must live until the run is over
         const auto keep = [&](const py::object &object, const std::string &name) {
             kept.push_back(array_of(object, name));
@@ -239,13 +240,13 @@ PYBIND11_MODULE(_core, module) {
         .def_property_readonly("folder", &pathfold::Model::folder);
 
     py::class_<Denoiser>(module, "Denoiser", "One model applied to frames; keeps its working memory.")
-        .def(py::init<const pathfold::Model &, int, int, bool>(), py::arg("model"), py::kw_only(),
-             py::arg("memory_mb") = 0, py::arg("tile") = 0, py::arg("leave_out") = true,
+        .def(py::init<const pathfold::Model &, int, int, const std::string &>(), py::arg("model"),
+             py::kw_only(), py::arg("memory_mb") = 0, py::arg("tile") = 0, py::arg("leave_out") = "all",
              "memory_mb bounds a tile's working memory and tile is its edge in pixels, 0: chosen. "
-             "leave_out=False "
-             "computes everything, needed or not.")
+             "leave_out: \"all\", \"none\" or names, see pathfold.h.")
         .def("run", &Denoiser::run, py::arg("buffers"), py::kw_only(), py::arg("layers") = py::none(),
              py::arg("exposure") = py::none(), py::arg("progress") = py::none(),
+             py::arg("samples_per_pixel") = 0,
              "Denoises one frame. buffers: name to array, height x width x channels (samples in front for "
              "samples.*), float32 or float16, any strides, not copied. layers: name to {\"color\": array} or "
              "{\"diffuse\": array, \"specular\": array}. progress is called with the part done and returns "

@@ -32,7 +32,7 @@ class Model:
 class Denoiser:
     """One model applied to frames; keeps its working memory. Threads that share one take turns."""
 
-    def __init__(self, model: Model, *, memory_mb: int = 0, tile: int = 0, leave_out: bool = True) -> None: ...
+    def __init__(self, model: Model, *, memory_mb: int = 0, tile: int = 0, leave_out: str = "all") -> None: ...
     def run(
         self,
         buffers: Mapping[str, Array],
@@ -40,6 +40,7 @@ class Denoiser:
         layers: Mapping[str, Mapping[str, Array]] | None = None,
         exposure: float | None = None,
         progress: Callable[[float], object] | None = None,
+        samples_per_pixel: int = 0,
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]: ...
 
 def version() -> str: ...

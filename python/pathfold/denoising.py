@@ -45,6 +45,9 @@ class Denoiser:
     provider ("cpu", "cuda", ...); one that is not there is an error, never replaced. `threads` 0 means all
     cores,
     `memory_mb` caps the memory of a run (0: no cap), `tile` forces the tile's side in pixels (0: planned).
+    `leave_out` says what is not computed where a frame does not need it: "all" (every exact one: "branches", "tiles",
+    "inputs"), "none", or names with commas between; approximate and by name only: "converged" ("all,converged"), tiles
+    of at least 16 samples and known variance whose expected RelL2 is at most 1e-4 already.
     Raises PathfoldError, whose `code` says what kind of fault it is.
     """
 
@@ -56,10 +59,11 @@ class Denoiser:
         threads: int = 0,
         memory_mb: int = 0,
         tile: int = 0,
+        leave_out: str = "all",
     ) -> None:
         _point_to_onnxruntime()
         self.model = _core.Model(os.fspath(models.find(model)), provider=provider, threads=threads)
-        self._core = _core.Denoiser(self.model, memory_mb=memory_mb, tile=tile)
+        self._core = _core.Denoiser(self.model, memory_mb=memory_mb, tile=tile, leave_out=leave_out)
 
     def run(
         self,
@@ -77,6 +81,7 @@ class Denoiser:
         specular_variance: Array | None = None,
         samples: Mapping[str, Array] | None = None,
         layers: Mapping[str, Mapping[str, Array]] | None = None,
+        samples_per_pixel: int = 0,
         exposure: float | None = None,
         progress: Progress | None = None,
     ) -> Result:
@@ -87,7 +92,8 @@ class Denoiser:
         `color`, `diffuse`, `specular`: linear radiance >= 0; `diffuse_albedo`, `albedo` in [0, 1]; `normal`
         in [-1, 1]; `depth` > 0, 0 on a miss; `alpha` in [0, 1]; the variances are those of the pixel mean.
         `samples`: {"descriptor": S x H x W x 36, "density": S x H x W x 1, "valid": S x H x W x 1
-        (optional)}.
+        (optional)}; the descriptor may have 6 + 5 * vertices channels where no path has 6 vertices.
+        `samples_per_pixel` of the frame, 0: as many as there are in `samples`.
         `layers`: AOVs to filter alike, {"key light": {"color": ...}} or {..: {"diffuse": ..., "specular":
         ...}}. Give `diffuse`, `specular` and `diffuse_albedo` for the better split filtering, else `color`.
         `exposure` replaces the automatic factor; `progress` gets the fraction done and returns False to
@@ -107,13 +113,16 @@ class Denoiser:
             "specular.variance": specular_variance,
         }
         named |= {f"samples.{name}": block for name, block in _mapping("samples", samples, _SAMPLES).items()}
-        return self.run_buffers(named, layers=layers, exposure=exposure, progress=progress)
+        return self.run_buffers(
+            named, layers=layers, samples_per_pixel=samples_per_pixel, exposure=exposure, progress=progress
+        )
 
     def run_buffers(
         self,
         buffers: Mapping[str, Array | None],
         *,
         layers: Mapping[str, Mapping[str, Array]] | None = None,
+        samples_per_pixel: int = 0,
         exposure: float | None = None,
         progress: Progress | None = None,
     ) -> Result:
@@ -132,6 +141,7 @@ class Denoiser:
         images, report = self._core.run(
             arrays,
             layers=extra or None,
+            samples_per_pixel=samples_per_pixel,
             exposure=exposure,
             progress=None if progress is None else lambda done: progress(done) is not False,
         )

@@ -58,6 +58,7 @@ def denoise_file(
         result = denoiser.run_buffers(
             read(file, frame, denoiser.model.requires, denoiser.model.uses, guides or siblings(source)),
             layers={_key(layer): {"color": file.read(layer.part, at)} for layer, at in extra},
+            samples_per_pixel=_samples_per_pixel(file),
             exposure=exposures[min(number, len(exposures) - 1)] if exposures else None,
             progress=progress,
         )
@@ -160,6 +161,12 @@ def _extra(file: ImageFile, frames: Sequence[Frame], patterns: Sequence[str]) ->
         if len(refused) == len(layers):
             raise ImageError(f"{file.path}: --layer {pattern}: nothing to filter: {'; '.join(refused[:3])}")
     return found
+
+
+def _samples_per_pixel(file: ImageFile) -> int:
+    """What our own header says of it; 0: nothing."""
+    said = file.metadata().get("pathfold:spp")
+    return said if isinstance(said, int) and said > 0 else 0
 
 
 def _owner(frames: Sequence[Frame], layer: Layer) -> int | None:

@@ -76,6 +76,7 @@ class Camera:
         width, height = self.size
         rows = max(1, min(height, BAND_SAMPLES // (width * spp)))
         described = any(name.startswith("samples.") for name in wanted)
+        vertices = sample_names.VERTICES if max_depth < 0 else min(sample_names.VERTICES, max(max_depth, 1))
         buffers: Block = {}
         samples: Block = {}
         dropped = 0
@@ -84,7 +85,9 @@ class Camera:
             self._film(crop_offset=(self._origin[0], self._origin[1] + first), crop_size=(width, last - first))
             band_seed = seed if rows == height else int(np.random.SeedSequence((seed, index)).generate_state(1)[0])
             try:
-                band = trace(self._scene, spp, band_seed, max_depth, self._sensor, described, rr_depth)
+                band = trace(
+                    self._scene, spp, band_seed, max_depth, self._sensor, described, rr_depth, vertices=vertices
+                )
             except (ValueError, TypeError, NotImplementedError) as error:
                 raise SceneError(_last_words(error)) from error
             means = band.reduce()

@@ -83,11 +83,11 @@ void set_number(Settings &settings, const std::string &name, double value) {
         settings.memory_mb = whole_number(name, value, 1 << 20);
     } else if (name == "tile") {
         settings.tile = int(whole_number(name, value, 1 << 16));
-    } else if (name == "leave_out") {
-        settings.leave_out = whole_number(name, value, 1) != 0;
+    } else if (name == "samples_per_pixel") {
+        settings.samples_per_pixel = whole_number(name, value, 1 << 30);
     } else {
         fail(PATHFOLD_INVALID_ARGUMENT, "there is no setting named \"", name,
-             "\"; settings are: exposure, memory_mb, tile, leave_out");
+             "\"; settings are: exposure, memory_mb, tile, samples_per_pixel");
     }
 }
 
@@ -233,6 +233,12 @@ void pathfold_denoiser_clear(pathfold_denoiser *denoiser) {
 pathfold_status pathfold_denoiser_set_number(pathfold_denoiser *denoiser, const char *name, double value) {
     return guarded(
         [&] { set_number(given(denoiser, "denoiser").settings, given_text(name, "name"), value); });
+}
+
+pathfold_status pathfold_denoiser_set_leave_out(pathfold_denoiser *denoiser, const char *names) {
+    return guarded([&] {
+        given(denoiser, "denoiser").settings.leave_out = parse_leave_out(given_text(names, "names"));
+    });
 }
 
 void pathfold_denoiser_set_progress(pathfold_denoiser *denoiser, pathfold_progress progress, void *user) {

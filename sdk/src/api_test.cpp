@@ -62,12 +62,23 @@ TEST(Api, SettingsAreChecked) {
                                {"exposure", std::nan("")},
                                {"memory_mb", 0.5},
                                {"tile", -4.0},
-                               {"leave_out", 2.0}}) {
+                               {"samples_per_pixel", -1.0}}) {
         const auto set = [&, name = name, value = value] { denoiser.set(name, value); };
         EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, set).find(name), std::string::npos);
     }
     const auto unknown = [&] { denoiser.set("sharpness", 1); };
     EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, unknown).find("memory_mb"), std::string::npos);
+}
+
+TEST(Api, WhatToLeaveOutIsChecked) {
+    Denoiser denoiser{Model(model_folder("single-3"))};
+    for (const char *names : {"all", "none", "tiles", "branches,inputs", "all,converged"})
+        denoiser.leave_out(names);
+    for (const char *names : {"", "everything", "tiles, inputs", "none,tiles", "all,pixels"}) {
+        const auto set = [&] { denoiser.leave_out(names); };
+        EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, set).find("leave_out is"), std::string::npos)
+            << names;
+    }
 }
 
 TEST(Api, TheWrapperDenoises) {

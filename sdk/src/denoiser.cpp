@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <map>
 
+#include "buffers.h"
 #include "error.h"
 
 namespace pathfold::core {
@@ -35,7 +37,10 @@ public:
           manifest_(model_.manifest()), threads_(denoiser.threads_),
           prepared_(prepare(frame, manifest_, settings.exposure, threads_)),
           packer_(frame, prepared_, model_, threads_, denoiser.tensors_), results_(prepared_.signals.size()),
-          idle_tiles_(prepared_.branches.size()) {
+          work_(prepared_.branches.size()), left_out_(prepared_.branches.size()) {
+        if (!leaves_out("inputs"))
+            for (const std::string &name : unread_buffers(frame, manifest_, prepared_.split))
+                read_unneeded(frame.input(name), threads_);
         report_.times.prepare = watch_.lap();
     }
 
@@ -49,17 +54,34 @@ public:
     }
 
 private:
+    /// Tiles, and the pixels of their windows.
+    struct Work {
+        size_t tiles = 0;
+        double pixels = 0;
+
+        void add(const Tile &tile) { ++tiles, pixels += double(tile.window.width) * tile.window.height; }
+    };
+
     void plan();
+    bool leaves_out(const char *what) const { return settings_.leave_out.count(what) > 0; }
+    std::vector<std::string> find_needs(const Tile &tile) const;
     void denoise(const Tile &tile, size_t index);
     void filter(const Tile &tile, int branch);
     Logits predict(const Tile &tile, int branch);
     void fill_neighbourhood(const Tile &tile, int branch);
+    template <typename Fill>
+    void set_results(const Tile &tile, int branch, const Fill &fill);
     void take_results(const Tile &tile, int branch);
-    void copy_idle(const Tile &tile, int branch);
+    void copy_noisy(const Tile &tile, int branch);
     void write(const Tile &tile);
     void write(const Tile &tile, const ImageView &output, const std::vector<size_t> &signals);
     void tell_progress(float done) const;
+    void report_branches();
+    void report_tiles(const std::string &what, const std::string &why);
+    void report_inputs();
     void finish_report();
+    double saved_ms(double pixels) const;
+    std::string tiles_text(size_t tiles) const;
 
     Denoiser &denoiser_;
     const Frame &frame_;
@@ -73,7 +95,9 @@ private:
     std::vector<Tile> tiles_;
     std::vector<Planes> results_; // of the tile at hand, per signal
     std::vector<float> gathered_;
-    std::vector<size_t> idle_tiles_; // per branch
+    std::vector<char> idle_;                            // per branch: in the whole frame
+    std::vector<Work> work_;                            // per branch: done
+    std::vector<std::map<std::string, Work>> left_out_; // per branch: not done, by what it was left out for
     Report report_;
 };
 
@@ -88,26 +112,61 @@ void Denoiser::Run::plan() {
         fail(PATHFOLD_INVALID_ARGUMENT, "memory_mb is ", settings_.memory_mb,
              ", too little for the smallest tile with its overlap of ", manifest_.tile_overlap,
              " pixels; give more, or 0 to have it chosen");
+    watch_.lap();
+    const Rect whole{0, 0, frame_.width(), frame_.height()};
+    for (size_t i = 0; i < work_.size(); ++i)
+        idle_.push_back(leaves_out("branches") && is_idle(prepared_, int(i), {whole, whole}, 1));
+    report_.times.needs += watch_.lap();
     report_.tiles = tiles_.size();
     report_.tile_width = tiles_[0].core.width;
     report_.tile_height = tiles_[0].core.height;
 }
 
+/// For each branch what it is left out of the tile for; empty where it has to run.
+std::vector<std::string> Denoiser::Run::find_needs(const Tile &tile) const {
+    const size_t branches = work_.size();
+    std::vector<std::string> causes(branches);
+    std::vector<char> idle(branches);
+    bool all_idle = true;
+    for (size_t i = 0; i < branches; ++i) {
+        idle[i] = idle_[i] || ((leaves_out("branches") || leaves_out("tiles")) &&
+                               is_idle(prepared_, int(i), tile, manifest_.kernel_size));
+        all_idle = all_idle && idle[i];
+    }
+    for (size_t i = 0; i < branches; ++i)
+        if (idle_[i] && leaves_out("branches"))
+            causes[i] = "branches";
+        else if (all_idle && leaves_out("tiles"))
+            causes[i] = "tiles";
+        else if (idle[i] && leaves_out("branches"))
+            causes[i] = "branches";
+    const int64_t samples = std::max(settings_.samples_per_pixel, frame_.samples());
+    if (leaves_out("converged") && std::count(causes.begin(), causes.end(), "") > 0 &&
+        is_converged(frame_, prepared_, tile.core, samples))
+        std::replace(causes.begin(), causes.end(), std::string(), std::string("converged"));
+    return causes;
+}
+
 void Denoiser::Run::denoise(const Tile &tile, size_t index) {
     bool packed = false;
-    const int branches = int(prepared_.branches.size());
-    for (int branch = 0; branch < branches; ++branch) {
+    const size_t branches = work_.size();
+    watch_.lap();
+    const std::vector<std::string> causes = find_needs(tile);
+    report_.times.needs += watch_.lap();
+    for (size_t branch = 0; branch < branches; ++branch) {
         tell_progress(float(index * branches + branch) / float(tiles_.size() * branches));
-        if (settings_.leave_out && is_idle(prepared_, branch, tile, manifest_.kernel_size)) {
-            copy_idle(tile, branch);
-            ++idle_tiles_[size_t(branch)];
+        watch_.lap();
+        if (!causes[branch].empty()) {
+            copy_noisy(tile, int(branch));
+            left_out_[branch][causes[branch]].add(tile);
+            report_.times.write += watch_.lap();
             continue;
         }
-        watch_.lap();
         if (!packed)
             packer_.start(tile);
         packed = true;
-        filter(tile, branch);
+        filter(tile, int(branch));
+        work_[branch].add(tile);
     }
     watch_.lap();
     write(tile);
@@ -176,28 +235,9 @@ void Denoiser::Run::fill_neighbourhood(const Tile &tile, int branch) {
     source.finish();
 }
 
-void Denoiser::Run::take_results(const Tile &tile, int branch) {
-    const Planes &factor = prepared_.branches[size_t(branch)].factor;
-    const float *from = gathered_.data();
-    for (size_t i = 0; i < prepared_.signals.size(); ++i) {
-        const Signal &signal = prepared_.signals[i];
-        if (signal.branch != branch)
-            continue;
-        results_[i] = Planes(signal.values.channels(), tile.core.height, tile.core.width);
-        for (int c = 0; c < signal.values.channels(); ++c)
-            for (int y = 0; y < tile.core.height; ++y, from += tile.core.width) {
-                float *to = results_[i].row(c, y);
-                std::copy_n(from, tile.core.width, to);
-                if (signal.demodulated)
-                    std::transform(to, to + tile.core.width,
-                                   factor.row(std::min(c, factor.channels() - 1), tile.core.y + y) +
-                                       tile.core.x,
-                                   to, std::multiplies<float>());
-            }
-    }
-}
-
-void Denoiser::Run::copy_idle(const Tile &tile, int branch) {
+/// Calls fill(signal, channel, row of the tile, where its result goes) for what the branch filters.
+template <typename Fill>
+void Denoiser::Run::set_results(const Tile &tile, int branch, const Fill &fill) {
     for (size_t i = 0; i < prepared_.signals.size(); ++i) {
         const Signal &signal = prepared_.signals[i];
         if (signal.branch != branch)
@@ -205,9 +245,27 @@ void Denoiser::Run::copy_idle(const Tile &tile, int branch) {
         results_[i] = Planes(signal.values.channels(), tile.core.height, tile.core.width);
         for (int c = 0; c < signal.values.channels(); ++c)
             for (int y = 0; y < tile.core.height; ++y)
-                std::copy_n(signal.values.row(c, tile.core.y + y) + tile.core.x, tile.core.width,
-                            results_[i].row(c, y));
+                fill(signal, c, y, results_[i].row(c, y));
     }
+}
+
+void Denoiser::Run::take_results(const Tile &tile, int branch) {
+    const Planes &factor = prepared_.branches[size_t(branch)].factor;
+    const float *from = gathered_.data();
+    set_results(tile, branch, [&](const Signal &signal, int c, int y, float *to) {
+        std::copy_n(from, tile.core.width, to);
+        from += tile.core.width;
+        if (signal.demodulated)
+            std::transform(to, to + tile.core.width,
+                           factor.row(std::min(c, factor.channels() - 1), tile.core.y + y) + tile.core.x, to,
+                           std::multiplies<float>());
+    });
+}
+
+void Denoiser::Run::copy_noisy(const Tile &tile, int branch) {
+    set_results(tile, branch, [&](const Signal &signal, int c, int y, float *to) {
+        std::copy_n(signal.values.row(c, tile.core.y + y) + tile.core.x, tile.core.width, to);
+    });
 }
 
 void Denoiser::Run::write(const Tile &tile) {
@@ -260,25 +318,69 @@ void Denoiser::Run::tell_progress(float done) const {
         fail(PATHFOLD_CANCELLED, "cancelled by the progress callback");
 }
 
-void Denoiser::Run::finish_report() {
-    size_t ran = 0;
-    for (size_t idle : idle_tiles_)
-        ran += tiles_.size() - idle;
-    const double tile_ms = ran > 0 ? (report_.times.total() - report_.times.prepare) / double(ran) : -1;
-    for (size_t i = 0; i < idle_tiles_.size(); ++i) {
+/// What the work on so many pixels of windows would have taken, by what it took in this run; -1: not known.
+double Denoiser::Run::saved_ms(double pixels) const {
+    double done = 0;
+    for (const Work &work : work_)
+        done += work.pixels;
+    const Times &times = report_.times;
+    return done > 0 ? pixels * (times.pack + times.network + times.reconstruct) / done : -1;
+}
+
+std::string Denoiser::Run::tiles_text(size_t tiles) const {
+    return tiles == tiles_.size() ? "all tiles" : text(tiles, " of ", tiles_.size(), " tiles");
+}
+
+void Denoiser::Run::report_branches() {
+    for (size_t i = 0; i < work_.size(); ++i) {
         const ActiveBranch &active = prepared_.branches[i];
-        const bool all = idle_tiles_[i] == tiles_.size();
-        if (!all)
+        const Work &idle = left_out_[i]["branches"];
+        if (work_[i].tiles > 0)
             report_.branches.push_back(active.branch->name);
-        if (idle_tiles_[i] == 0)
+        if (idle.tiles == 0)
             continue;
-        const std::string where = all ? "" : text(" in ", idle_tiles_[i], " of ", tiles_.size(), " tiles");
+        const std::string where = idle.tiles == tiles_.size() ? "" : " in " + tiles_text(idle.tiles);
         report_.left_out.push_back({"branch " + active.branch->name + where,
                                     active.radiance + " is constant there: filtering changes nothing",
-                                    tile_ms < 0 ? -1 : tile_ms * double(idle_tiles_[i])});
+                                    saved_ms(idle.pixels)});
     }
+}
+
+void Denoiser::Run::report_tiles(const std::string &cause, const std::string &why) {
+    size_t tiles = 0;
+    double pixels = 0;
+    for (auto &branch : left_out_) {
+        tiles = std::max(tiles, branch[cause].tiles);
+        pixels += branch[cause].pixels;
+    }
+    if (tiles > 0)
+        report_.left_out.push_back({tiles_text(tiles), why, saved_ms(pixels)});
+}
+
+void Denoiser::Run::report_inputs() {
+    const double value_ms = prepared_.load_ms / prepared_.loaded;
+    const auto saved = [&](const ImageView &view, int channels) {
+        return value_ms * double(view.samples()) * channels * frame_.width() * frame_.height();
+    };
     for (const std::string &name : unread_buffers(frame_, manifest_, prepared_.split))
-        report_.left_out.push_back({"input " + name, "not read by the model for this frame"});
+        if (const ImageView &view = frame_.input(name); leaves_out("inputs"))
+            report_.left_out.push_back(
+                {"input " + name, "not read by the model for this frame", saved(view, view.channels())});
+    if (!frame_.has("samples.descriptor") || !manifest_.reads("samples.descriptor"))
+        return;
+    const ImageView &view = frame_.input("samples.descriptor");
+    if (const int vertices = vertices_of(view.channels()); vertices < descriptor_vertices)
+        report_.left_out.push_back({text("path vertices from ", vertices + 1, " on"),
+                                    "no path of the frame has them: they are not given",
+                                    saved(view, 5 * (descriptor_vertices - vertices))});
+}
+
+void Denoiser::Run::finish_report() {
+    report_branches();
+    report_tiles("tiles", "everything in them is constant: filtering changes nothing");
+    report_tiles("converged",
+                 text("approximately: their expected RelL2 is at most ", converged_error, " already"));
+    report_inputs();
     const int64_t samples = frame_.samples();
     if (samples > 0 && (samples < manifest_.min_samples || samples > manifest_.max_samples))
         report_.notes.push_back(text(samples, " samples per pixel; the model was trained on ",

@@ -7,6 +7,7 @@
 
 #include "frame.h"
 #include "model.h"
+#include "needs.h"
 #include "pack.h"
 #include "reconstruct.h"
 #include "report.h"
@@ -18,7 +19,8 @@ struct Settings {
     float exposure = 0;
     int64_t memory_mb = 0;
     int tile = 0;
-    bool leave_out = true;
+    int64_t samples_per_pixel = 0; ///< as many as the samples buffers hold
+    LeaveOut leave_out = parse_leave_out("all");
     std::function<bool(float)> progress; ///< told the part done; false cancels
 };
 

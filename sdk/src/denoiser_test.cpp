@@ -335,7 +335,8 @@ TEST(Denoiser, LayersAddUpToTheBeauty) {
     expect_near(sum(scene.results.at("key"), scene.results.at("fill")), unsplit, 1e-5);
 }
 
-TEST(Denoiser, WhatIsNotNeededIsLeftOut) {
+/// Black on the left, specular black everywhere, alpha constant.
+Scene half_lit() {
     Scene scene = Scene::full(64, 64);
     scene.buffers.at("specular") = Pixels(64, 64, 3);
     scene.buffers.at("alpha") = Pixels(64, 64, 1, 1);
@@ -345,15 +346,138 @@ TEST(Denoiser, WhatIsNotNeededIsLeftOut) {
             for (int c = 0; c < 3; ++c)
                 diffuse.at(y, x, c) = 0;
     scene.settings.tile = 16;
-    const Pixels lean = scene.denoise("split-5");
-    EXPECT_EQ(scene.report["branches"], Json({"diffuse"}));
-    ASSERT_EQ(scene.report["left_out"].size(), 2u);
-    EXPECT_EQ(scene.report["left_out"][0]["what"], "branch diffuse in 8 of 16 tiles");
-    EXPECT_EQ(scene.report["left_out"][1]["what"], "branch specular");
-    EXPECT_EQ(scene.results.at("alpha").at(5, 5, 0), 1.0f);
-    scene.settings.leave_out = false;
-    expect_near(scene.denoise("split-5"), lean, 1e-5);
-    EXPECT_TRUE(scene.report["left_out"].empty());
+    return scene;
+}
+
+std::vector<std::string> left_out(const Scene &scene) {
+    std::vector<std::string> whats;
+    for (const Json &line : scene.report["left_out"])
+        whats.push_back(line["what"]);
+    return whats;
+}
+
+using Whats = std::vector<std::string>;
+
+TEST(Denoiser, WhatIsNotNeededIsLeftOut) {
+    Scene scene = half_lit();
+    scene.settings.leave_out = parse_leave_out("none");
+    const Pixels all = scene.denoise("split-5");
+    EXPECT_EQ(left_out(scene), Whats());
+    EXPECT_EQ(scene.report["branches"], Json({"diffuse", "specular"}));
+    for (const auto &[names, whats] :
+         std::map<std::string, Whats>{{"all", {"branch specular", "8 of 16 tiles"}},
+                                      {"branches", {"branch diffuse in 8 of 16 tiles", "branch specular"}},
+                                      {"tiles", {"8 of 16 tiles"}},
+                                      {"inputs", {}}}) {
+        scene.settings.leave_out = parse_leave_out(names);
+        expect_near(scene.denoise("split-5"), all, 1e-5);
+        EXPECT_EQ(left_out(scene), whats) << names;
+        EXPECT_NEAR(scene.results.at("alpha").at(5, 5, 0), 1, 1e-6);
+        for (const Json &line : scene.report["left_out"])
+            EXPECT_GT(line["saved_ms"], 0) << line;
+    }
+}
+
+TEST(Denoiser, ABlackFrameRunsNothing) {
+    Scene scene = Scene::color(32, 32);
+    scene.buffers.at("color") = Pixels(32, 32, 3);
+    EXPECT_EQ(scene.denoise("single-3").values, scene.buffers.at("color").values);
+    EXPECT_EQ(left_out(scene), Whats{"branch color"});
+    EXPECT_FALSE(scene.report["left_out"][0].contains("saved_ms")); // nothing ran that could tell
+    EXPECT_EQ(scene.report["ms"]["network"], 0.0);
+}
+
+TEST(Denoiser, InputsThatAreNotReadAreLeftOut) {
+    Scene scene = Scene::color(32, 32);
+    const Pixels alone = scene.denoise("single-3");
+    scene.buffers.emplace("normal", Pixels(32, 32, 3, nan));
+    for (const char *names : {"all", "none"}) {
+        scene.settings.leave_out = parse_leave_out(names);
+        EXPECT_EQ(scene.denoise("single-3").values, alone.values);
+        EXPECT_EQ(scene.report["sanitised"]["non_finite"], 0);
+        EXPECT_EQ(left_out(scene), names[0] == 'a' ? Whats{"input normal"} : Whats());
+    }
+}
+
+TEST(Denoiser, ConvergedTilesAreCopiedWhereAsked) {
+    // Every pixel is within its deviation of a smooth truth: of little noise on the left.
+    Scene scene = Scene::color(32, 64);
+    Pixels truth(32, 64, 3), variance(32, 64, 3);
+    std::mt19937 random(3);
+    std::normal_distribution<float> normal;
+    for (int y = 0; y < 32; ++y)
+        for (int x = 0; x < 64; ++x)
+            for (int c = 0; c < 3; ++c) {
+                truth.at(y, x, c) = 1 + 0.02f * float(x + y * c);
+                const float deviation = truth.at(y, x, c) * (x < 32 ? 0.008f : 0.1f);
+                variance.at(y, x, c) = deviation * deviation;
+                scene.buffers.at("color").at(y, x, c) = truth.at(y, x, c) + deviation * normal(random);
+            }
+    scene.buffers.emplace("variance", variance);
+    scene.settings.tile = 16;
+    const Pixels exact = scene.denoise("split-5");
+    scene.settings.leave_out = parse_leave_out("all,converged");
+    EXPECT_EQ(scene.denoise("split-5").values, exact.values); // the number of samples is not known
+    scene.settings.samples_per_pixel = 15;
+    EXPECT_EQ(scene.denoise("split-5").values, exact.values);
+    scene.settings.samples_per_pixel = 16;
+    const Pixels &copied = scene.denoise("split-5");
+    EXPECT_EQ(left_out(scene), Whats{"4 of 8 tiles"});
+    double error = 0;
+    for (int y = 0; y < 32; ++y)
+        for (int x = 0; x < 64; ++x)
+            for (int c = 0; c < 3; ++c) {
+                const float value = copied.at(y, x, c), exposed = 0.5f * truth.at(y, x, c);
+                EXPECT_EQ(value, (x < 32 ? scene.buffers.at("color") : exact).at(y, x, c));
+                const double off = x < 32 ? 0.5f * (value - truth.at(y, x, c)) : 0;
+                error += off * off / (exposed * exposed + 0.01);
+            }
+    EXPECT_LT(error / (32 * 32 * 3), converged_error); // the bound that the report states
+
+    scene.settings.leave_out = parse_leave_out("all"); // never by itself
+    EXPECT_EQ(scene.denoise("split-5").values, exact.values);
+    scene.settings.leave_out = parse_leave_out("converged");
+    scene.buffers.at("variance").at(3, 3, 0) = nan; // one that is not known
+    scene.denoise("split-5");
+    EXPECT_EQ(left_out(scene), Whats{"3 of 8 tiles"});
+}
+
+TEST(Denoiser, VerticesThatNoPathHasNeedNotBeGiven) {
+    const int height = 20, width = 24, count = 2, vertices = 2;
+    const size_t pixels = size_t(count) * height * width;
+    std::mt19937 random(5);
+    std::normal_distribution<float> normal;
+    std::vector<float> whole, part, density(pixels, -3.0f);
+    for (size_t i = 0; i < pixels; ++i)
+        for (int channel = 0; channel < 36; ++channel) {
+            const bool logs = channel < 24; // 6 of the path, 3 of each vertex; then tags, then roughness
+            const int vertex = channel < 6 ? 0 : logs ? (channel - 6) / 3 : (channel - 24) % 6;
+            whole.push_back(vertex < vertices ? normal(random) : logs ? -100.0f : 0.0f);
+            if (vertex < vertices)
+                part.push_back(whole.back());
+        }
+    ASSERT_EQ(part.size(), pixels * (6 + 5 * vertices));
+    const Pixels color = noise(height, width, 3, 1);
+    Pixels results[2] = {Pixels(height, width, 3), Pixels(height, width, 3)};
+    Denoiser denoiser(std::make_shared<const Model>(model_folder("samples-5"), "cpu", 1));
+    Json report;
+    for (int i = 0; i < 2; ++i) {
+        std::vector<float> &given = i == 0 ? whole : part;
+        const pathfold_image images[] = {
+            color.image(),
+            pathfold_packed(given.data(), PATHFOLD_FLOAT32, count, height, width,
+                            int64_t(given.size() / pixels)),
+            pathfold_packed(density.data(), PATHFOLD_FLOAT32, count, height, width, 1), results[i].image()};
+        Frame frame;
+        frame.set_input("color", &images[0]);
+        frame.set_input("samples.descriptor", &images[1]);
+        frame.set_input("samples.density", &images[2]);
+        frame.set_output("color", &images[3]);
+        report = Json::parse(denoiser.run(frame, {}));
+        EXPECT_EQ(report["left_out"].size(), size_t(i));
+    }
+    EXPECT_EQ(results[0].values, results[1].values);
+    EXPECT_EQ(report["left_out"][0]["what"], "path vertices from 3 on");
 }
 
 TEST(Denoiser, HalvesInAndOutInPlace) {

@@ -30,7 +30,11 @@ void Frame::set_input(const std::string &name, const pathfold_image *image) {
         return;
     }
     const ImageView view(*image, name);
-    expect_channels(view, kind->channels, name);
+    if (name == "samples.descriptor" && vertices_of(view.channels()) == 0)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", view.size_text(), "; ", name,
+             " has 6 channels and 5 for each of 1 to ", descriptor_vertices, " vertices, 36 in all");
+    if (name != "samples.descriptor")
+        expect_channels(view, kind->channels, name);
     if (!kind->per_sample && view.samples() != 1)
         fail(PATHFOLD_INVALID_ARGUMENT, name, ": samples is ", view.samples(), "; a pixel buffer has 1");
     inputs_[name] = view;

@@ -1,6 +1,10 @@
 #include "needs.h"
 
 #include <algorithm>
+#include <cmath>
+#include <sstream>
+
+#include "error.h"
 
 namespace pathfold::core {
 namespace {
@@ -24,7 +28,29 @@ bool stays_itself(const Signal &signal, const Rect &area) {
     return true;
 }
 
+const LeaveOut exact = {"branches", "tiles", "inputs"};
+const LeaveOut approximate = {"converged"};
+
 } // namespace
+
+LeaveOut parse_leave_out(const std::string &text) {
+    LeaveOut chosen;
+    if (text == "none")
+        return chosen;
+    std::stringstream names(text);
+    for (std::string name; std::getline(names, name, ',');) {
+        if (name == "all")
+            chosen.insert(exact.begin(), exact.end());
+        else if (exact.count(name) + approximate.count(name) > 0)
+            chosen.insert(name);
+        else
+            fail(PATHFOLD_INVALID_ARGUMENT, "leave_out is \"", text, "\"; it must be all, none, or some of ",
+                 list(exact), " (exact) and ", list(approximate), " (approximate), with commas between");
+    }
+    if (chosen.empty())
+        fail(PATHFOLD_INVALID_ARGUMENT, "leave_out is empty; give all, none, or names");
+    return chosen;
+}
 
 std::vector<std::string> unread_buffers(const Frame &frame, const Manifest &manifest, bool split) {
     std::vector<std::string> unread;
@@ -40,6 +66,35 @@ std::vector<std::string> unread_buffers(const Frame &frame, const Manifest &mani
             unread.push_back(name);
     }
     return unread;
+}
+
+bool is_converged(const Frame &frame, const Prepared &prepared, const Rect &core, int64_t samples) {
+    const size_t branches = prepared.branches.size(), values = size_t(core.width) * 3;
+    for (const ActiveBranch &active : prepared.branches)
+        if (samples < 16 || !frame.has(active.variance))
+            return false;
+    std::vector<float> variance(values);
+    double error = 0;
+    for (int y = core.y; y < core.y + core.height; ++y) {
+        const uint8_t *valid = prepared.valid.data() + size_t(y) * frame.width() + core.x;
+        if (!std::all_of(valid, valid + core.width, [](uint8_t flag) { return flag != 0; }))
+            return false;
+        std::vector<double> color(values), deviation(values);
+        for (size_t b = 0; b < branches; ++b) {
+            frame.input(prepared.branches[b].variance).load_row(0, y, core.x, core.width, variance.data());
+            for (size_t i = 0; i < values; ++i) {
+                if (!(variance[i] >= 0) || !std::isfinite(variance[i]))
+                    return false;
+                color[i] += prepared.signals[b].values.row(int(i % 3), y)[core.x + i / 3];
+                deviation[i] += std::sqrt(double(variance[i])); // as if the parts' errors were the same
+            }
+        }
+        for (size_t i = 0; i < values; ++i) {
+            const double exposed = prepared.exposure * color[i], error_of = prepared.exposure * deviation[i];
+            error += error_of * error_of / (exposed * exposed + 0.01);
+        }
+    }
+    return error <= converged_error * double(values) * core.height;
 }
 
 bool is_idle(const Prepared &prepared, int branch, const Tile &tile, int kernel_size) {

@@ -17,6 +17,21 @@ int channels_of(const std::string &input) { return int(input_shape(input)[1].siz
 
 bool is_scalar(const std::string &input) { return input_shape(input).size() == 1; }
 
+/// Spreads descriptors of some vertices, in place, to those of all: what no path has is dead.
+void add_vertices(float *pixels, int count, int vertices) {
+    const int given = 6 + 5 * vertices, channels = 6 + 5 * descriptor_vertices;
+    for (int x = count - 1; x >= 0 && vertices < descriptor_vertices; --x) {
+        const std::vector<float> in(pixels + size_t(x) * given, pixels + size_t(x + 1) * given);
+        float *out = pixels + size_t(x) * channels;
+        std::fill_n(out, descriptor_logs, dead_log);
+        std::fill_n(out + descriptor_logs, channels - descriptor_logs, 0.0f);
+        const float *tags = in.data() + 6 + 3 * vertices;
+        std::copy(in.data(), tags, out);
+        std::copy_n(tags, vertices, out + descriptor_logs);
+        std::copy_n(tags + vertices, vertices, out + descriptor_logs + descriptor_vertices);
+    }
+}
+
 bool is_samples(const std::string &input) { return input.rfind("samples.", 0) == 0; }
 
 } // namespace
@@ -171,6 +186,8 @@ void Packer::pack_sample_row(int64_t sample, int row, std::vector<float> &scratc
     float *descriptor = scratch.data(), *density = descriptor + size_t(window.width) * channels;
     float *valid = density + window.width;
     read("samples.descriptor", channels, 0.0f, descriptor);
+    if (frame_.has("samples.descriptor") && model_.manifest().reads("samples.descriptor"))
+        add_vertices(descriptor, window.width, vertices_of(frame_.input("samples.descriptor").channels()));
     read("samples.density", 1, 0.0f, density);
     // Without any samples there is one that says nothing.
     read("samples.valid", 1, frame_.samples() > 0 ? 1.0f : 0.0f, valid);

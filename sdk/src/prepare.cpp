@@ -1,6 +1,7 @@
 #include "prepare.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -301,10 +302,20 @@ float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<
     return within_floats(key / std::exp2(logs / double(count)));
 }
 
+void read_unneeded(const ImageView &view, Threads &threads) {
+    for (int64_t sample = 0; sample < view.samples(); ++sample)
+        for_rows(threads, view.height(), [&](int y) {
+            std::vector<float> pixels(size_t(view.width()) * size_t(view.channels()));
+            view.load_row(sample, y, 0, view.width(), pixels.data());
+            sanitise_guide(pixels.data(), view.width(), view.channels(), guide_range("normal"));
+        });
+}
+
 Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, Threads &threads) {
     Prepared prepared;
     prepared.split = frame.split(manifest);
     prepared.valid.assign(size_t(frame.width()) * size_t(frame.height()), 1);
+    const auto start = std::chrono::steady_clock::now();
     add_branches(frame, manifest, prepared, threads);
     if (frame.has("alpha")) {
         const auto unsplit = std::find_if(prepared.branches.begin(), prepared.branches.end(),
@@ -313,6 +324,10 @@ Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, T
                                     load_rider(frame.input("alpha"), false, prepared, threads)});
     }
     add_layers(frame, prepared, threads);
+    prepared.load_ms =
+        std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+    for (const Signal &signal : prepared.signals)
+        prepared.loaded += double(signal.values.channels()) * frame.width() * frame.height();
     clear_masked(prepared, threads);
 
     prepared.exposure = exposure;

@@ -41,7 +41,11 @@ struct Prepared {
     std::vector<uint8_t> valid; ///< per pixel: 0 where the beauty's radiance is not finite
     float exposure = 1, depth_scale = 1;
     Counts counts;
+    double load_ms = 0, loaded = 0; ///< the time that reading radiance took, and how many values that was
 };
+
+/// Reads a buffer and throws it away: what leaving it out saves.
+void read_unneeded(const ImageView &view, Threads &threads);
 
 /// Reads and sanitises what will be filtered, and takes the frame's statistics. `exposure` 0: from the image.
 Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, Threads &threads);

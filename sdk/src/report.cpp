@@ -62,6 +62,7 @@ std::string Report::json(const Frame &frame, const Model &model, const Prepared 
         {"tile", {tile_width, tile_height}},
         {"ms",
          {{"prepare", times.prepare},
+          {"needs", times.needs},
           {"pack", times.pack},
           {"network", times.network},
           {"reconstruct", times.reconstruct},

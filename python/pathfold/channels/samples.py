@@ -2,7 +2,7 @@
 
     path.radiance.R/G/B        undivided radiance of the path's dominant contribution      natural logarithm
     path.light.R/G/B           its photon energy                                           natural logarithm
-    path.attenuation.V.R/G/B   BSDF times cosine at vertex V = 0 ... 5                     natural logarithm
+    path.attenuation.V.R/G/B   BSDF times cosine at vertex V = 0 ... 5, fewer where no path has more; natural logarithm
     path.tag.V                 interaction at vertex V, 0 where the path has ended
     path.roughness.V           roughness of the lobe sampled at vertex V, 0 delta or ended, 1 diffuse
     path.density               sum of the natural logarithms of the sampling densities     float
@@ -20,14 +20,20 @@ from pathfold.images import ImageError, ImageFile, NewPart
 
 VERTICES = 6
 PART = "samples"
-# The channels of `samples.descriptor`, in the order that the networks read them.
-DESCRIPTOR = (
-    *(f"path.radiance.{c}" for c in "RGB"),
-    *(f"path.light.{c}" for c in "RGB"),
-    *(f"path.attenuation.{vertex}.{c}" for vertex in range(VERTICES) for c in "RGB"),
-    *(f"path.tag.{vertex}" for vertex in range(VERTICES)),
-    *(f"path.roughness.{vertex}" for vertex in range(VERTICES)),
-)
+
+
+def descriptor(vertices: int) -> tuple[str, ...]:
+    """The channels of `samples.descriptor` of so many vertices, in the order that the networks read them."""
+    return (
+        *(f"path.radiance.{c}" for c in "RGB"),
+        *(f"path.light.{c}" for c in "RGB"),
+        *(f"path.attenuation.{vertex}.{c}" for vertex in range(vertices) for c in "RGB"),
+        *(f"path.tag.{vertex}" for vertex in range(vertices)),
+        *(f"path.roughness.{vertex}" for vertex in range(vertices)),
+    )
+
+
+DESCRIPTOR = descriptor(VERTICES)
 _FIELDS = {"descriptor": DESCRIPTOR, "density": ("path.density",), "valid": ("valid",)}
 _TYPES = {"descriptor": np.float16, "density": np.float32, "valid": np.float16}
 _CHANNEL = re.compile(r"samples\.(\d+)\.(.+)")
@@ -36,11 +42,12 @@ Samples = dict[str, NDArray[np.floating]]
 
 
 def to_part(samples: Mapping[str, NDArray[np.floating]]) -> NewPart:
-    """The part that holds a block of samples: "descriptor" S x H x W x 36, "density" S x H x W x 1, ..."""
-    count, height, width, _ = samples["descriptor"].shape
+    """The part of a block of samples: "descriptor" S x H x W x (6 + 5 * vertices), "density" S x H x W x 1, ..."""
+    count, height, width, channels = samples["descriptor"].shape
+    fields = {**_FIELDS, "descriptor": descriptor((channels - 6) // 5)}
     kinds = {name: "float" if _TYPES[name] == np.float32 else "half" for name in samples}
-    names = [f"samples.{s:03d}.{field}" for s in range(count) for name in samples for field in _FIELDS[name]]
-    formats = [kinds[name] for _ in range(count) for name in samples for _ in _FIELDS[name]]
+    names = [f"samples.{s:03d}.{field}" for s in range(count) for name in samples for field in fields[name]]
+    formats = [kinds[name] for _ in range(count) for name in samples for _ in fields[name]]
 
     def rows(first: int, last: int) -> NDArray[np.floating]:
         blocks = [samples[name][s, first:last] for s in range(count) for name in samples]
@@ -75,7 +82,8 @@ def load(file: ImageFile) -> Samples:
     numbers = sorted({found.group(1) for found in _numbered(file, part)}, key=int)
     spec = file.parts[part]
     block, places = {}, {}
-    for name, fields in _FIELDS.items():
+    vertices = sum(f"samples.{numbers[0]}.path.tag.{vertex}" in channels for vertex in range(VERTICES))
+    for name, fields in {**_FIELDS, "descriptor": descriptor(max(vertices, 1))}.items():
         if not any(f"samples.{s}.{fields[0]}" in channels for s in numbers):
             continue
         wanted = [f"samples.{s}.{field}" for s in numbers for field in fields]

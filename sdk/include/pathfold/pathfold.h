@@ -130,7 +130,8 @@ PATHFOLD_API void pathfold_denoiser_release(pathfold_denoiser *denoiser);
 
 /* Sets a buffer of the frame: "color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth",
  * "alpha", "variance", "diffuse.variance", "specular.variance", "samples.descriptor", "samples.density",
- * "samples.valid". The pixels must live until the run is over. A null image takes the buffer away.
+ * "samples.valid". A descriptor may have fewer than 6 vertices (6 + 5 channels for each) where no path of the
+ * frame has more. The pixels must live until the run is over. A null image takes the buffer away.
  * PATHFOLD_INVALID_ARGUMENT: no such name, wrong channels, no pixels. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_input(pathfold_denoiser *denoiser,
                                                                            const char *name,
@@ -165,10 +166,20 @@ PATHFOLD_API void pathfold_denoiser_clear(pathfold_denoiser *denoiser);
  *   "exposure"   what radiance is multiplied with before a network sees it; 0 (default): from the image
  *   "memory_mb"  bound on the working memory of a tile; 0 (default): chosen
  *   "tile"       edge of a square tile in pixels, a multiple of the model's alignment; 0 (default): chosen
- *   "leave_out"  1 (default): leave out what the frame does not need; 0: compute everything
+ *   "samples_per_pixel"  of the frame; 0 (default): as many as its samples buffers have
  * PATHFOLD_INVALID_ARGUMENT: no such name, or out of range. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_number(pathfold_denoiser *denoiser,
                                                                             const char *name, double value);
+
+/* Sets what is left out where a frame does not need it: "all" (default, every exact one), "none", or names
+ * with commas between. Exact, the result stays the same: "branches" (of the model, that change nothing in the
+ * frame or a tile), "tiles" (in which nothing changes anything), "inputs" (that the model does not read for
+ * this frame; else they are read and thrown away). Approximate, by name only, "all,converged" for example:
+ * "converged" (tiles of at least 16 samples per pixel and known variance whose expected RelL2 is at most 1e-4
+ * are copied). The report says what was left out and what that saved, by the times of the same run.
+ * PATHFOLD_INVALID_ARGUMENT: no such name. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_leave_out(pathfold_denoiser *denoiser,
+                                                                               const char *names);
 
 /* Sets the progress callback; null takes it away. */
 PATHFOLD_API void pathfold_denoiser_set_progress(pathfold_denoiser *denoiser, pathfold_progress progress,

@@ -105,9 +105,14 @@ public:
         check(pathfold_denoiser_set_layer_output(get(), name.c_str(), &image));
         return *this;
     }
-    /// "exposure", "memory_mb", "tile" or "leave_out"; see pathfold_denoiser_set_number.
+    /// "exposure", "memory_mb", "tile" or "samples_per_pixel"; see pathfold_denoiser_set_number.
     Denoiser &set(const std::string &name, double value) {
         check(pathfold_denoiser_set_number(get(), name.c_str(), value));
+        return *this;
+    }
+    /// "all", "none", or names; see pathfold_denoiser_set_leave_out.
+    Denoiser &leave_out(const std::string &names) {
+        check(pathfold_denoiser_set_leave_out(get(), names.c_str()));
         return *this;
     }
     /// Whether the inputs that are set are split, so that "diffuse" and "specular" can be had.
