@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 
 class Strict(BaseModel):
@@ -16,6 +16,7 @@ class Strict(BaseModel):
 class Network(Strict):
     """KPCN's widths; the topology is the same for every preset."""
 
+    family: Literal["kpcn"] = "kpcn"
     width: int = Field(32, ge=4, description="channels of R's 5x5 convolutions")
     layers: int = Field(9, ge=2, description="convolutions of R, the last one 1x1 (compact) or 5x5 (full)")
     last_kernel: Literal[1, 5] = 1
@@ -24,6 +25,20 @@ class Network(Strict):
     trust: bool = Field(True, description="one more logit per pixel, added wherever the pixel is a kernel's tap")
     embedding: int = Field(0, ge=0, description="C: channels of the path embedding; 0 for kpcn-vanilla")
     embedding_width: int = Field(16, ge=4, description="channels of F's top level; 2 and 4 times that below")
+
+
+class Pyramid(Strict):
+    """The pathfold family's sizes, from half resolution down to 1/16."""
+
+    family: Literal["pathfold"] = "pathfold"
+    widths: tuple[int, int, int, int] = Field((64, 96, 128, 160), description="channels per level")
+    convolutions: tuple[int, int, int, int] = Field((3, 2, 2, 2), description="per level, the same on the way back up")
+    embedding: int = Field(8, ge=1, description="C: channels of the path embedding")
+
+
+def family(network: object) -> str:
+    """'kpcn' where a preset does not say."""
+    return network.get("family", "kpcn") if isinstance(network, dict) else getattr(network, "family", "kpcn")
 
 
 class Loss(Strict):
@@ -43,6 +58,7 @@ class Data(Strict):
     drop: float = 0.1  # probability that an optional input is absent, each on its own
     drop_all: float = 0.05  # ... that everything beyond color (and samples) is absent
     drop_split: float = 0.15
+    drop_paths: float = 0.0  # ... that the samples are absent, for networks that can do without
     normal_turn: float = 0.3  # probability of a random rotation, so that world space works too
 
 
@@ -53,13 +69,16 @@ class Optimiser(Strict):
     final_fraction: float = 0.01  # of the learning rate, at the end of the cosine
     clip: float = 1.0  # gradient norm
     precision: Literal["auto", "fp32", "bf16"] = "auto"  # bf16 on a GPU; fp32 on a CPU: 1.4 to 1.6 times as fast there
-    lattice: int = 3  # kernels are predicted on every n-th pixel in both directions while training
+    lattice: int = 3  # KPCN's kernels are predicted on every n-th pixel in both directions while training
+    average: float = 0.0  # decay of the exponential moving average of the weights that is kept; 0 keeps the last ones
 
 
 class Config(Strict):
     name: str
     description: str
-    network: Network = Network()
+    network: Annotated[Annotated[Network, Tag("kpcn")] | Annotated[Pyramid, Tag("pathfold")], Discriminator(family)] = (
+        Network()
+    )
     loss: Loss = Loss()
     data: Data = Data()
     optimiser: Optimiser = Optimiser()

@@ -92,13 +92,14 @@ class View:
         return int(np.clip(y - size // 2, 0, most)), int(np.clip(x - size // 2, 0, most))
 
     def crop(self, y: int, x: int, size: int, first: int, count: int, paths: bool) -> tuple[Inputs, Inputs]:
-        """Samples [first, first + count) and references of the crop: tensors float32, S x C x h x w and C x h x w.
+        """Samples [first, first + count) and references of the crop: tensors S x C x h x w and C x h x w, float32.
 
-        Path descriptors are read only where `paths` asks for them. Non-finite samples count as black.
+        Path descriptors are read only where `paths` asks for them, and stay float16. Non-finite samples count as black.
         """
 
         def read(name: str, *index: Any) -> Tensor:
-            return torch.nan_to_num(torch.from_numpy(self.tensor(name)[index]).float(), 0.0, 0.0, 0.0)
+            values = torch.nan_to_num(torch.from_numpy(self.tensor(name)[index]), 0.0, 0.0, 0.0)
+            return values if name == "samples.descriptor" else values.float()
 
         inside = slice(y, min(y + size, self.side)), slice(x, min(x + size, self.side))
         samples = self.number, slice(first, first + count), slice(None), *inside
@@ -121,7 +122,8 @@ def reduce_samples(samples: Inputs) -> Inputs:
         ("specular", (radiance - diffuse).clamp(min=0.0)),
     ):
         out[name] = value.mean(0)
-        variance = value.var(0, unbiased=True) / n if n > 1 else torch.zeros_like(out[name])
+        # torch's own var is several times as slow along the first dimension
+        variance = (value - out[name]).square().sum(0) / (max(1, n - 1) * n)
         out["variance" if name == "color" else f"{name}.variance"] = variance
     for name in ("diffuse.albedo", "albedo", "normal", "depth"):
         out[name] = samples[f"samples.{name}"].mean(0)
@@ -189,11 +191,12 @@ def frame_inputs(samples: Inputs, exposure: float, depth_scale: float) -> Inputs
     """Everything a frame offers the networks, all optional inputs present."""
     n = samples["samples.radiance"].shape[0]
     inputs = reduce_samples(samples)
-    inputs |= {name: samples[name] for name in PATH_NAMES if name in samples}
+    inputs |= {name: samples[name].float() for name in PATH_NAMES if name in samples}
     inputs["samples.valid"] = torch.ones_like(samples["samples.depth"])
     inputs["exposure"], inputs["depth_scale"] = torch.tensor(exposure), torch.tensor(depth_scale)
     for name in OPTIONAL:
         inputs[f"{name}.present"] = torch.tensor(0.0 if name == "variance" and n < 2 else 1.0)
+    inputs["paths.present"] = torch.tensor(1.0 if "samples.descriptor" in samples else 0.0)
     return inputs
 
 
@@ -215,15 +218,15 @@ def augment(samples: Inputs, reference: Inputs, rng: np.random.Generator, normal
             if name == "samples.normal":
                 value = torch.einsum("ij,sjhw->sihw", turn, value)
             elif name == "samples.descriptor":
-                triples = value[:, :COLORED_LOGS].unflatten(1, (-1, 3))[:, :, colors].flatten(1, 2)
-                value = torch.cat([triples, value[:, COLORED_LOGS:]], 1)
+                triples = torch.arange(COLORED_LOGS).reshape(-1, 3)[:, colors].flatten()
+                value = value.index_select(1, torch.cat([triples, torch.arange(COLORED_LOGS, value.shape[1])]))
             elif value.shape[-3] == 3:
                 value = value[..., colors, :, :]
             group[name] = value.contiguous()
 
 
 def drop_inputs(inputs: Inputs, rng: np.random.Generator, data: Data) -> None:
-    """Absent optional inputs are zeros with presence 0, as the SDK feeds them. Samples are never dropped."""
+    """Absent optional inputs are zeros with presence 0, as the SDK feeds them; absent samples are one invalid one."""
     everything = rng.random() < data.drop_all
     for name in OPTIONAL:
         if everything or rng.random() < (data.drop_split if name == "split" else data.drop):
@@ -232,6 +235,10 @@ def drop_inputs(inputs: Inputs, rng: np.random.Generator, data: Data) -> None:
         inputs[name] = inputs[name] * inputs[f"{name}.present"]
     for name in ("variance", "diffuse.variance", "specular.variance"):
         inputs[name] = inputs[name] * inputs["variance.present"]
+    if data.drop_paths > 0.0 and rng.random() < data.drop_paths:
+        inputs["paths.present"] = torch.tensor(0.0)
+        for name in (*PATH_NAMES, "samples.valid"):
+            inputs[name] = torch.zeros_like(inputs[name][:1])
 
 
 def collate(frames: list[tuple[Inputs, Inputs]]) -> Batch:

@@ -13,11 +13,12 @@ from pathlib import Path
 import lightning
 import onnx
 import torch
-from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar, TQDMProgressBar
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar, TQDMProgressBar, WeightAveraging
 from lightning.pytorch.loggers import CSVLogger
 from lightning.pytorch.utilities import rank_zero_only
 from onnx import numpy_helper
 from rich.console import Console
+from torch import Tensor
 from torch.nn.utils import parametrize
 from torch.utils.data import DataLoader
 
@@ -45,6 +46,15 @@ class TrainingSeconds(Callback):
 
     def load_state_dict(self, state: dict) -> None:
         self.before, self.before_cpu = state["seconds"], state["cpu_seconds"]
+
+
+def moving_average(decay: float) -> WeightAveraging:
+    """An exponential moving average of the weights, shorter at first: checkpoints and validation use it."""
+
+    def update(average: Tensor, current: Tensor, number: Tensor | int) -> Tensor:
+        return average.lerp(current, 1.0 - min(decay, (1.0 + float(number)) / (10.0 + float(number))))
+
+    return WeightAveraging(avg_fn=update)
 
 
 def fit(
@@ -95,6 +105,7 @@ def fit(
             ModelCheckpoint(out, save_last=True, save_top_k=0, every_n_train_steps=min(save_every, options.steps)),
             TrainingSeconds(),
             RichProgressBar() if on_terminal else TQDMProgressBar(refresh_rate=50),
+            *([moving_average(options.average)] if options.average > 0.0 else []),
         ],
         enable_model_summary=False,
     )
@@ -181,7 +192,7 @@ def completed_steps(checkpoint: Path, config: Config) -> int:
     if not checkpoint.is_file():
         return 0
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    if state["hyper_parameters"]["config"] != config.model_dump():
+    if Config.model_validate(state["hyper_parameters"]["config"]) != config:  # keys newer than the run have defaults
         raise ValueError(f"{checkpoint} was trained with another preset; choose another --out or the same preset")
     return int(state["global_step"])
 

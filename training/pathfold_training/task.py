@@ -17,6 +17,7 @@ from .data import Batch, Inputs
 from .features import DEMODULATION_EPSILON
 from .losses import error_scale, logit_excess, manifold_loss, robust_relative, tone_map
 from .networks.kpcn import Kpcn, path_features
+from .networks.pathfold import Pathfold
 from .networks.reconstruct import gather
 
 
@@ -62,13 +63,16 @@ class Denoising(lightning.LightningModule):
         super().__init__()
         self.config = config
         self.save_hyperparameters({"config": config.model_dump()})
-        self.model = Kpcn(config.network)
+        self.model = Pathfold(config.network) if config.network.family == "pathfold" else Kpcn(config.network)
         self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.generator = torch.Generator()
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
         # pairs and lattice phase depend on the global step alone, so that a resumed run repeats them
         self.generator.manual_seed(self.global_step)
+        return self.pyramid_loss(batch) if isinstance(self.model, Pathfold) else self.kpcn_loss(batch)
+
+    def kpcn_loss(self, batch: Batch) -> Tensor:
         lattice = self.config.optimiser.lattice
         phase = torch.randint(lattice, (2,), generator=self.generator)
         offset = (int(phase[0]), int(phase[1]))
@@ -110,6 +114,20 @@ class Denoising(lightning.LightningModule):
         self.log("image", error, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         return loss
 
+    def pyramid_loss(self, batch: Batch) -> Tensor:
+        inputs, exposure = batch.inputs | {"radiance": batch.inputs["color"]}, batch.inputs["exposure"]
+        image, logits, paths = self.model.filter(inputs, batch.counts)
+        reference = batch.reference["color"] * exposure.reshape(-1, 1, 1, 1)
+        error = robust_relative(image * exposure.reshape(-1, 1, 1, 1), reference, error_scale(reference))
+        loss = error + self.config.loss.logits * sum(logit_excess(level) for level in logits)
+        if self.config.loss.manifold > 0.0:
+            pairs = self.config.loss.manifold_pairs
+            manifold = manifold_loss(paths, tone_map(reference), batch.counts, pairs, self.generator, **self.sharing())
+            loss = loss + self.config.loss.manifold * manifold
+            self.log("manifold", manifold, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
+        self.log("image", error, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
+        return loss
+
     def sharing(self) -> dict[str, Any]:
         """Which of how many processes this is, and how to fetch what the others hold: manifold_loss's arguments.
 
@@ -130,6 +148,8 @@ class Denoising(lightning.LightningModule):
 
     def denoise(self, batch: Batch) -> Tensor:
         """The whole frame, linear unexposed radiance B x 3 x H x W."""
+        if isinstance(self.model, Pathfold):
+            return self.model.filter(batch.inputs | {"radiance": batch.inputs["color"]}, batch.counts)[0]
         image = torch.zeros_like(batch.inputs["color"])
         exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
         for name, branch in self.model.branches.items():

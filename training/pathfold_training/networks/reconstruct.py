@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 import torch.nn.functional as functional
 from torch import Tensor
+from torch.autograd.function import FunctionCtx
 
 STRIP_TAPS = 1 << 25  # taps per strip: bounds the memory of the unfolded patches
 
@@ -51,3 +52,82 @@ def gather_strip(logits: Tensor, source: Tensor, shift: Tensor, size: int, latti
     sums = torch.bmm(torch.exp(rows - peak), patches(source)).squeeze(1)  # the last column is the sum of weights
     out = sums[:, :-1] / torch.clamp(sums[:, -1:], min=1e-30)
     return out.reshape(batch, height, width, -1).permute(0, 3, 1, 2)
+
+
+LEVEL_LOGITS = 25 + 4 + 1  # of a pyramid level: 5 x 5 kernel, 2 x 2 upsampling, blend; in this order
+COARSEST_LOGITS = 25
+LOGIT_LIMIT = 10.0  # logits are clamped to it: no weight vanishes, no sum overflows
+LEAST_TRUST = -9.0
+KERNEL_TAPS = [(dy, dx) for dy in range(5) for dx in range(5)]
+UPSAMPLING_TAPS = [(dy, dx) for dy in (0, 2) for dx in (0, 2)]  # one fine pixel up or down meets the next coarse one
+
+
+def gather_pyramid(trust: Tensor, levels: list[Tensor], radiance: Tensor) -> Tensor:
+    """The trusted gather pyramid: B x C x H x W filtered radiance, a convex combination of the valid pixels.
+
+    trust B x 1 x H' x W' and levels[l] B x (30, the last one 25) x H'/2^l x W'/2^l, where H', W' are H, W rounded up
+    to a multiple of 2^(L - 1). With s = exp(trust), trust in [-9, 0], and D the 2 x 2 average:
+    N_0 = s * radiance, W_0 = s (0 outside the image and where radiance is not finite), N_l+1 = D N_l, W_l+1 = D W_l;
+    F_l(p) = sum_d k_l(p, d) N_l(p + d) / sum_d k_l(p, d) W_l(p + d) over 5 x 5 taps, k = exp(logit), |logit| <= 10;
+    O_l = (1 - a_l) F_l + a_l * (weighted mean of the 2 x 2 nearest cells of O_l+1), a = sigmoid(logit).
+    A side without a valid tap leaves the result to the other one; without any, the result is 0.
+    """
+    height, width = radiance.shape[-2:]
+    valid = torch.isfinite(radiance).all(1, keepdim=True)
+    source = torch.cat([torch.where(valid, radiance, 0.0), valid.to(radiance.dtype)], 1)
+    source = functional.pad(source, (0, trust.shape[-1] - width, 0, trust.shape[-2] - height))
+    sources = [source * torch.exp(torch.clamp(trust, LEAST_TRUST, 0.0))]
+    for _ in levels[1:]:
+        sources.append(functional.avg_pool2d(sources[-1], 2))
+    result, known = normalised(weigh_taps(bounded_exp(levels[-1]), sources[-1], KERNEL_TAPS, 2))
+    for logits, source in zip(levels[-2::-1], sources[-2::-1], strict=True):
+        kernel, upsampling, blend = torch.split(logits, [25, 4, 1], 1)
+        own, own_known = normalised(weigh_taps(bounded_exp(kernel), source, KERNEL_TAPS, 2))
+        below = torch.cat([result, known], 1).repeat_interleave(2, -1).repeat_interleave(2, -2)
+        coarse, coarse_known = normalised(weigh_taps(bounded_exp(upsampling), below, UPSAMPLING_TAPS, 1))
+        share = torch.sigmoid(torch.clamp(blend, -LOGIT_LIMIT, LOGIT_LIMIT))
+        fine = (1.0 - share) * own_known
+        share = share * coarse_known
+        result, known = normalised(torch.cat([fine * own + share * coarse, fine + share], 1))
+    return result[:, :, :height, :width]
+
+
+def bounded_exp(logits: Tensor) -> Tensor:
+    return torch.exp(torch.clamp(logits, -LOGIT_LIMIT, LOGIT_LIMIT))
+
+
+def normalised(sums: Tensor) -> tuple[Tensor, Tensor]:
+    """Weighted sums with the sum of weights as the last channel -> means, and 1 where there was any weight."""
+    known = sums[:, -1:] > 0.0
+    means = sums[:, :-1] / torch.where(known, sums[:, -1:], 1.0)
+    return torch.where(known, means, 0.0), known.to(sums.dtype)
+
+
+def weigh_taps(weights: Tensor, source: Tensor, taps: list[tuple[int, int]], radius: int) -> Tensor:
+    """sum_t weights[:, t] * source shifted by taps[t] - radius: B x T x h x w, B x C x h x w -> B x C x h x w."""
+    return _WeighTaps.apply(weights, functional.pad(source, (radius,) * 4), taps)  # type: ignore[no-any-return]
+
+
+class _WeighTaps(torch.autograd.Function):
+    """By hand, so that the shifted products of a tap are never kept (tested with gradcheck)."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, weights: Tensor, source: Tensor, taps: list[tuple[int, int]]) -> Tensor:  # type: ignore[override]
+        ctx.save_for_backward(weights, source)
+        ctx.taps = taps  # type: ignore[attr-defined]
+        height, width = weights.shape[-2:]
+        out = torch.zeros_like(source[:, :, :height, :width], memory_format=torch.contiguous_format)
+        for t, (dy, dx) in enumerate(taps):
+            out.addcmul_(weights[:, t : t + 1], source[:, :, dy : dy + height, dx : dx + width])
+        return out
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[Tensor, Tensor, None]:  # type: ignore[override]
+        weights, source = ctx.saved_tensors  # type: ignore[attr-defined]
+        height, width = weights.shape[-2:]
+        of_weights, of_source = torch.empty_like(weights), torch.zeros_like(source)
+        for t, (dy, dx) in enumerate(ctx.taps):  # type: ignore[attr-defined]
+            window = (slice(None), slice(None), slice(dy, dy + height), slice(dx, dx + width))
+            torch.sum(gradient * source[window], 1, out=of_weights[:, t])
+            of_source[window].addcmul_(weights[:, t : t + 1], gradient)
+        return of_weights, of_source, None

@@ -1,0 +1,252 @@
+"""The pathfold family in torch: the trusted gather pyramid's promises, the network's shapes and receptive field."""
+
+import numpy as np
+import pytest
+import torch
+from pathfold_training.config import Config, Data, Loss, Optimiser, Pyramid, load_preset
+from pathfold_training.data import Crops
+from pathfold_training.fit import fit
+from pathfold_training.networks.pathfold import Pathfold, embedding_moments, macs_per_pixel, overlap
+from pathfold_training.networks.reconstruct import _WeighTaps, gather_pyramid
+from training_data import write_data_set
+
+SMALL = Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4)
+TINY = Config(
+    name="tiny",
+    description="a network for tests",
+    network=SMALL,
+    loss=Loss(manifold=0.0125, manifold_pairs=256),
+    data=Data(crop=32, batch=2, spp_max=4, drop_paths=0.5),
+    optimiser=Optimiser(steps=4, precision="fp32", warmup=1, average=0.9),
+)
+
+
+def random_logits(
+    height: int, width: int, seed: int = 0, spread: float = 3.0
+) -> tuple[torch.Tensor, list[torch.Tensor]]:
+    """Trust and five levels for a frame of height x width, float64."""
+    g = torch.Generator().manual_seed(seed)
+    h, w = -(-height // 16) * 16, -(-width // 16) * 16
+    levels = [
+        spread * torch.randn((1, 30 if i < 4 else 25, h >> i, w >> i), generator=g, dtype=torch.float64)
+        for i in range(5)
+    ]
+    return -9 * torch.rand((1, 1, h, w), generator=g, dtype=torch.float64), levels
+
+
+def noise(height: int, width: int, seed: int = 1) -> torch.Tensor:
+    g = torch.Generator().manual_seed(seed)
+    return torch.rand((1, 3, height, width), generator=g, dtype=torch.float64) ** 4 * 100
+
+
+SIZES = [(48, 64), (37, 50), (1, 1), (1, 33)]
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_constants_stay(height: int, width: int) -> None:
+    trust, levels = random_logits(height, width)
+    constant = torch.full((1, 3, height, width), 7.5, dtype=torch.float64)
+    torch.testing.assert_close(gather_pyramid(trust, levels, constant), constant, rtol=1e-13, atol=0)
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+@pytest.mark.parametrize("spread", [1.0, 1e4])
+def test_bounded_by_the_input(height: int, width: int, spread: float) -> None:
+    trust, levels = random_logits(height, width, spread=spread)
+    source = noise(height, width)
+    out = gather_pyramid(trust, levels, source)
+    assert (out >= source.amin((2, 3), keepdim=True) - 1e-12).all()
+    assert (out <= source.amax((2, 3), keepdim=True) + 1e-12).all()
+
+
+def test_layers_add_up() -> None:
+    trust, levels = random_logits(40, 40)
+    a, b = noise(40, 40, 1), noise(40, 40, 2)
+    parts = gather_pyramid(trust, levels, a) + gather_pyramid(trust, levels, b)
+    torch.testing.assert_close(gather_pyramid(trust, levels, a + b), parts, rtol=1e-12, atol=1e-12)
+
+
+def test_bad_pixels_take_no_part() -> None:
+    trust, levels = random_logits(48, 48)
+    source = noise(48, 48)
+    source[:, :, 10:14, 20:25] = torch.nan
+    source[:, 1, 30, 30] = torch.inf
+    out = gather_pyramid(trust, levels, source)
+    finite = torch.isfinite(source).all(1)[0]
+    assert torch.isfinite(out).all()
+    assert out.max() <= source[0][:, finite].max()
+    constant = torch.where(finite, 2.0, torch.nan).expand(1, 3, 48, 48).double()
+    torch.testing.assert_close(gather_pyramid(trust, levels, constant), torch.full_like(constant, 2.0))
+    nothing = torch.full_like(constant, torch.nan)
+    assert gather_pyramid(trust, levels, nothing).abs().max() == 0.0
+
+
+def test_trust_alone_removes_a_firefly() -> None:
+    trust, levels = (
+        torch.zeros((1, 1, 32, 32)),
+        [torch.zeros((1, 30 if i < 4 else 25, 32 >> i, 32 >> i)) for i in range(5)],
+    )
+    source = torch.ones((1, 3, 32, 32))
+    source[:, :, 9, 12] = 1e4
+    assert gather_pyramid(trust, levels, source).max() > 100
+    trust[:, :, 9, 12] = -50.0  # clamped to -9
+    assert gather_pyramid(trust, levels, source).max() < 1.1
+
+
+def naive(trust: np.ndarray, levels: list[np.ndarray], source: np.ndarray) -> np.ndarray:
+    """The formulas of gather_pyramid, pixel by pixel; source H x W without bad pixels, a multiple of 16 each way."""
+    weight = np.exp(np.clip(trust, -9, 0))
+    numbers, weights = [source * weight], [weight]
+    for _ in range(4):
+        for maps in (numbers, weights):
+            x = maps[-1]
+            maps.append((x[::2, ::2] + x[1::2, ::2] + x[::2, 1::2] + x[1::2, 1::2]) / 4)
+    coarser = None
+    for level in reversed(range(5)):
+        height, width = numbers[level].shape
+        out = np.zeros((height, width))
+        for y in range(height):
+            for x in range(width):
+                logits = np.clip(levels[level][:, y, x], -10, 10)
+                top = bottom = 0.0
+                for tap in range(25):
+                    v, u = y + tap // 5 - 2, x + tap % 5 - 2
+                    if 0 <= v < height and 0 <= u < width:
+                        top += np.exp(logits[tap]) * numbers[level][v, u]
+                        bottom += np.exp(logits[tap]) * weights[level][v, u]
+                out[y, x] = top / bottom
+                if coarser is None:
+                    continue
+                top = bottom = 0.0
+                for j in range(4):
+                    v, u = (y - 1) // 2 + j // 2, (x - 1) // 2 + j % 2  # of the four nearest cells
+                    if 0 <= v < coarser.shape[0] and 0 <= u < coarser.shape[1]:
+                        top += np.exp(logits[25 + j]) * coarser[v, u]
+                        bottom += np.exp(logits[25 + j])
+                share = 1 / (1 + np.exp(-logits[29]))
+                out[y, x] = (1 - share) * out[y, x] + share * top / bottom
+        coarser = out
+    return out
+
+
+def test_pyramid_equals_its_formulas() -> None:
+    trust, levels = random_logits(32, 48)
+    source = noise(32, 48)
+    expected = naive(trust[0, 0].numpy(), [level[0].numpy() for level in levels], source[0, 1].numpy())
+    out = gather_pyramid(trust, levels, source)[0, 1].numpy()
+    np.testing.assert_allclose(out, expected, rtol=1e-12)
+
+
+def test_gradient_by_hand() -> None:
+    g = torch.Generator().manual_seed(0)
+    weights = torch.rand((2, 4, 3, 5), generator=g, dtype=torch.float64, requires_grad=True)
+    source = torch.rand((2, 2, 5, 7), generator=g, dtype=torch.float64, requires_grad=True)
+    taps = [(0, 0), (0, 2), (2, 0), (2, 2)]
+    assert torch.autograd.gradcheck(lambda w, s: _WeighTaps.apply(w, s, taps), (weights, source))
+
+
+def frame(height: int, width: int, samples: int, seed: int = 0) -> dict[str, torch.Tensor]:
+    g = torch.Generator().manual_seed(seed)
+    inputs = {n: torch.rand((1, 3, height, width), generator=g) for n in ("radiance", "variance", "albedo", "normal")}
+    inputs["depth"] = torch.rand((1, 1, height, width), generator=g)
+    inputs["samples.descriptor"] = torch.randn((samples, 36, height, width), generator=g)
+    inputs["samples.valid"] = torch.ones((samples, 1, height, width))
+    inputs |= {f"{n}.present": torch.ones(1) for n in ("variance", "albedo", "normal", "depth", "paths")}
+    return inputs | {"exposure": torch.ones(1), "depth_scale": torch.ones(1)}
+
+
+def awake(network: Pyramid, seed: int = 0) -> Pathfold:
+    """A network whose heads, which start at zero, are random too."""
+    torch.manual_seed(seed)
+    model = Pathfold(network)
+    for head in (model.trust, *model.heads, model.presence):
+        torch.nn.init.normal_(head.weight, std=0.1)  # type: ignore[arg-type]
+    return model.eval()
+
+
+def test_untrained_network_is_a_plain_blur() -> None:
+    model = Pathfold(SMALL).eval()
+    with torch.no_grad():
+        _, levels, _ = model(frame(32, 32, 2))
+    assert max(float(level.abs().max()) for level in levels) == 0.0
+
+
+@pytest.mark.parametrize(("height", "width", "samples"), [(1, 1, 1), (17, 40, 3)])
+def test_any_size(height: int, width: int, samples: int) -> None:
+    with torch.no_grad():
+        out, _, paths = awake(SMALL).filter(frame(height, width, samples))
+    assert out.shape == (1, 3, height, width)
+    assert paths.shape == (samples, SMALL.embedding, height, width)
+    assert torch.isfinite(out).all()
+
+
+def test_overlap_covers_the_receptive_field() -> None:
+    model = awake(SMALL).double()
+    side, reach = 320, overlap(SMALL)
+    assert reach % 16 == 0
+    inputs = {n: v.double() for n, v in frame(side, side, 1).items()}
+    inputs["samples.descriptor"].requires_grad_()
+    inputs["radiance"].requires_grad_()
+    centre = slice(160, 176)
+    model.filter(inputs)[0][:, :, centre, centre].sum().backward()
+    for name in ("radiance", "samples.descriptor"):
+        touched = inputs[name].grad.abs().sum((0, 1)) > 0  # type: ignore[union-attr]
+        rows, columns = touched.any(1).nonzero(), touched.any(0).nonzero()
+        for index in (rows, columns):
+            assert 160 - reach <= int(index.min()) <= 160 - reach + 16  # enough, and not a whole block too much
+            assert 175 + reach - 16 <= int(index.max()) <= 175 + reach
+
+
+def test_embedding_moments_of_known_values() -> None:
+    paths = torch.arange(8.0).reshape(2, 1, 2, 2)  # samples of one 2x2 block: 0..7
+    valid = torch.ones((2, 1, 2, 2))
+    valid[1, 0, 1, 1] = 0.0  # without the 7
+    mean, deviation = embedding_moments(paths, valid, None)[0, :, 0, 0].tolist()
+    assert mean == pytest.approx(3.0)
+    assert deviation == pytest.approx(2.0, abs=0.011)
+    assert embedding_moments(paths, valid * 0, None)[0, :, 0, 0].tolist() == pytest.approx([0.0, 0.0])
+
+
+@pytest.mark.parametrize(("name", "low", "high"), [("fast", 30, 40), ("balanced", 80, 100), ("high", 280, 330)])
+def test_presets_keep_their_budget(name: str, low: float, high: float) -> None:
+    network = load_preset(f"pathfold-{name}").network
+    assert isinstance(network, Pyramid)
+    assert low < macs_per_pixel(network, spp=0) / 1e3 <= high
+    assert overlap(network) == 112
+
+
+def test_absent_paths_are_one_invalid_sample(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    data = write_data_set(tmp_path / "data")
+    batch = next(iter(Crops(data, TINY.data.model_copy(update={"drop_paths": 1.0}), seed=0, paths=True)))
+    assert batch.counts == [1, 1]
+    assert batch.inputs["paths.present"].tolist() == [0.0, 0.0]
+    assert batch.inputs["samples.valid"].abs().max() == 0.0
+    assert batch.inputs["samples.descriptor"].abs().max() == 0.0
+
+
+def test_training_moves_everything_and_resumes_exactly(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    data = write_data_set(tmp_path / "data")
+    whole = torch.load(fit(TINY, data, tmp_path / "whole", seed=3, validate_every=2, threads=1), weights_only=True)
+    start = Pathfold(SMALL).state_dict()
+    assert {n.removeprefix("model.") for n in whole["state_dict"]} == set(start)
+    heads = [v for n, v in whole["state_dict"].items() if "heads" in n or "trust.weight" in n]
+    assert all(float(v.abs().max()) > 0 for v in heads)
+
+    class InterruptError(Exception):
+        pass
+
+    original, calls = Crops.draw, [0]
+
+    def stops(self: Crops, rng: np.random.Generator) -> object:
+        calls[0] += 1
+        if calls[0] > 2 * TINY.data.batch + 1:
+            raise InterruptError
+        return original(self, rng)
+
+    monkeypatch.setattr(Crops, "draw", stops)
+    with pytest.raises(InterruptError):
+        fit(TINY, data, tmp_path / "parts", seed=3, validate_every=2, threads=1, save_every=2)
+    monkeypatch.setattr(Crops, "draw", original)
+    resumed = torch.load(fit(TINY, data, tmp_path / "parts", seed=3, validate_every=2, threads=1), weights_only=True)
+    for name, value in whole["state_dict"].items():
+        torch.testing.assert_close(resumed["state_dict"][name], value, rtol=0, atol=0, msg=name)

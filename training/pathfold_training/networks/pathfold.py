@@ -1,0 +1,194 @@
+"""The pathfold family (fast, balanced, high): a U-Net at half resolution that predicts a trusted gather pyramid.
+
+Feature maps of level l have 1 / 2^l of the frame's resolution; level 0 is predicted at level 1, four pixels at a time
+(pixel shuffle). Everything is padded to whole 16 x 16 blocks inside the network.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor, nn
+
+from ..config import Pyramid
+from ..features import DESCRIPTOR_CHANNELS
+from .embedding import sample_sum
+from .kpcn import path_features
+from .reconstruct import COARSEST_LOGITS, LEVEL_LOGITS, gather_pyramid
+
+LEVELS = 5
+ALIGNMENT = 1 << (LEVELS - 1)
+OPTIONAL = ("variance", "albedo", "normal", "depth", "paths")
+PIXEL_CHANNELS = 3 + 1 + 3 + 3 + 1
+ALBEDO_EPSILON = 0.01  # of the demodulator albedo + epsilon: bounds what a black albedo can amplify to a hundredfold
+SAMPLE_WIDTH = 32
+TRUST_START = -2.0  # sigmoid(-2) * -9 = -1.1: room on both sides of the initial trust
+
+
+def block(inputs: int, width: int, count: int) -> nn.Sequential:
+    """`count` 3x3 convolutions with ReLU."""
+    layers: list[nn.Module] = []
+    for a, b in pairwise([inputs] + [width] * count):
+        layers += [nn.Conv2d(a, b, 3, padding=1), nn.ReLU(inplace=True)]
+    return nn.Sequential(*layers)
+
+
+class Pathfold(nn.Module):
+    """Buffers of B frames (and their samples, image after image) -> trust and kernel logits of every level."""
+
+    def __init__(self, network: Pyramid) -> None:
+        super().__init__()
+        self.network = network
+        widths, counts = network.widths, network.convolutions
+        self.sample = nn.Sequential(
+            nn.Conv2d(DESCRIPTOR_CHANNELS, SAMPLE_WIDTH, 1),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(SAMPLE_WIDTH, SAMPLE_WIDTH, 1),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(SAMPLE_WIDTH, network.embedding, 1),
+        )
+        self.presence = nn.Linear(len(OPTIONAL), widths[0])  # presence planes, folded into the first layer's bias
+        self.first = nn.Conv2d(4 * PIXEL_CHANNELS + 2 * network.embedding, widths[0], 3, padding=1)
+        self.down = nn.ModuleList([block(widths[0], widths[0], counts[0] - 1)])
+        self.down.extend(block(a, b, n) for (a, b), n in zip(pairwise(widths), counts[1:], strict=True))
+        self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(widths))
+        self.up = nn.ModuleList(block(a, a, n) for a, n in zip(widths[:-1], counts[:-1], strict=True))
+        self.trust = nn.Conv2d(widths[0], 4, 1)
+        outputs = [4 * LEVEL_LOGITS + LEVEL_LOGITS] + [LEVEL_LOGITS] * (LEVELS - 3) + [COARSEST_LOGITS]
+        self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, outputs, strict=True))
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+                module.bias.data.zero_()  # type: ignore[union-attr]
+        for head in (self.trust, *self.heads, self.presence):  # start from uniform kernels
+            head.weight.data.zero_()  # type: ignore[union-attr,operator]
+            head.bias.data.zero_()  # type: ignore[union-attr,operator]
+        self.trust.bias.data.fill_(TRUST_START)  # type: ignore[union-attr]
+
+    def input_names(self) -> list[str]:
+        """Graph inputs in order; B = 1 when exported."""
+        names = ["radiance", "variance", "albedo", "normal", "depth", "samples.descriptor", "samples.valid"]
+        return names + ["exposure", "depth_scale"] + [f"{name}.present" for name in OPTIONAL]
+
+    def forward(
+        self, inputs: dict[str, Tensor], counts: list[int] | None = None
+    ) -> tuple[Tensor, list[Tensor], Tensor]:
+        """Trust B x 4 x H/2 x W/2 in [-9, 0]; per level B x channels x h x w; the embeddings N x C x H x W.
+
+        H and W are rounded up to multiples of 16. The first entry of the list is level 0's, four pixels in the
+        channels as pixel_shuffle orders them, so it is as large as the second one.
+        """
+        features = path_features(inputs, counts)
+        if torch.is_autocast_enabled(features.device.type):  # before the convolutions' own cast, a copy more
+            features = features.to(torch.get_autocast_dtype(features.device.type))
+        paths = self.sample(features.contiguous(memory_format=torch.channels_last))
+        pixels = functional.pixel_unshuffle(aligned(pixel_features(inputs)), 2)
+        moments = embedding_moments(paths.float(), inputs["samples.valid"], counts)
+        x = torch.cat([pixels, moments], 1).contiguous(memory_format=torch.channels_last)
+        present = torch.stack([inputs[f"{name}.present"].reshape(-1) for name in OPTIONAL], 1)
+        x = torch.relu(self.first(x) + self.presence(present)[:, :, None, None])
+        skips = []
+        for level, down in enumerate(self.down):
+            x = down(functional.max_pool2d(x, 2) if level > 0 else x)
+            skips.append(x)
+        trust = -9.0 * torch.sigmoid(self.trust(skips[0]).float())
+        logits = [self.heads[-1](x)]
+        for level in reversed(range(len(self.up))):
+            x = self.up[level](skips[level] + upsample(self.project[level](x)))
+            logits.insert(0, self.heads[level](x))
+        fine, half = torch.split(logits[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
+        return trust, [fine, half, *logits[1:]], paths
+
+    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Tensor, list[Tensor], Tensor]:
+        """The denoised radiance B x 3 x H x W, linear and unexposed; the logits per level; the embeddings."""
+        trust, levels, paths = self(inputs, counts)
+        with torch.autocast(trust.device.type, enabled=False):
+            factor = demodulator(inputs)
+            logits = [level.float() for level in levels]
+            full = [functional.pixel_shuffle(logits[0], 2), *logits[1:]]
+            clean = gather_pyramid(functional.pixel_shuffle(trust.float(), 2), full, inputs["radiance"] / factor)
+            return clean * factor, logits, paths
+
+
+def demodulator(inputs: dict[str, Tensor]) -> Tensor:
+    """What radiance is divided by while it is filtered: albedo + 0.01, or 1 in frames without an albedo."""
+    present = inputs["albedo.present"].reshape(-1, 1, 1, 1)
+    return present * (inputs["albedo"] + ALBEDO_EPSILON) + (1.0 - present)
+
+
+def pixel_features(inputs: dict[str, Tensor]) -> Tensor:
+    """The network's view of the buffers, B x 11 x H x W: logs of exposed radiance and its deviation, guides."""
+    scale = inputs["exposure"].reshape(-1, 1, 1, 1)
+    mean = inputs["radiance"] * scale
+    deviation = torch.sqrt(inputs["variance"].mean(1, keepdim=True)) * scale
+    relative = torch.clamp(deviation / (mean.mean(1, keepdim=True) + 0.01), max=10.0)
+    far = inputs["depth"] * inputs["depth_scale"].reshape(-1, 1, 1, 1)
+    depth = 1.0 - 1.0 / (1.0 + far)  # [0, 1), whatever the scene's unit
+    albedo = torch.clamp(inputs["albedo"], 0.0, 1.0)
+    color = torch.log1p(mean / demodulator(inputs))
+    return torch.cat([color, torch.log1p(16.0 * relative), albedo, inputs["normal"], depth], 1)
+
+
+def embedding_moments(paths: Tensor, valid: Tensor, counts: list[int] | None) -> Tensor:
+    """Mean and deviation of N embeddings over 2x2 pixels and each image's samples: B x 2C x H/2 x W/2.
+
+    `valid` is N x 1 x H x W; where no sample is valid both are 0. H and W are rounded up to multiples of 16.
+    """
+    paths = paths * valid
+    sums = torch.cat([sample_sum(x, counts) for x in (paths, paths.square(), valid)], 1)
+    sums = functional.avg_pool2d(aligned(sums), 2)
+    channels = paths.shape[1]
+    some = sums[:, -1:]
+    moments = sums[:, :-1] / torch.clamp(some, min=0.25)  # one valid sample of the four pixels' makes a quarter
+    mean, square = moments[:, :channels], moments[:, channels:]
+    # the epsilon keeps the root's slope, and with it rounding errors of the difference, bounded
+    deviation = torch.sqrt(torch.relu(square - mean.square()) + 1e-4) - 1e-2
+    return torch.cat([mean, deviation], 1)
+
+
+def aligned(x: Tensor) -> Tensor:
+    """Zeros below and on the right, up to whole blocks of 16 x 16 pixels."""
+    height, width = x.shape[-2:]
+    below, right = (ALIGNMENT - height % ALIGNMENT) % ALIGNMENT, (ALIGNMENT - width % ALIGNMENT) % ALIGNMENT
+    return functional.pad(x, (0, right, 0, below))
+
+
+def upsample(x: Tensor) -> Tensor:
+    return functional.interpolate(x, scale_factor=2.0, mode="nearest")
+
+
+def overlap(network: Pyramid) -> int:
+    """Pixels around a tile that its result depends on, a multiple of 16: follows radii through the layers.
+
+    A map at level l of radius r depends on the pixels of its cell and r more on every side: a 3x3 convolution adds
+    2^l, pooling nothing, upsampling to level l (the parent may start one cell earlier) 2^l.
+    """
+    radius = [0]
+    for level, count in enumerate(network.convolutions):  # the U-Net's level 0 is the pyramid's level 1
+        radius.append(radius[-1] + count * 2 ** (level + 1))
+    trust = radius[1] + 1  # it is used for both pixels of a cell
+    logits = {LEVELS - 1: radius[-1]}
+    here = radius[-1]
+    for level in reversed(range(1, LEVELS - 1)):
+        here += (1 + network.convolutions[level - 1]) * 2**level
+        logits[level] = here
+    logits[0] = here + 1
+    # the gather reads level l's logits at the cells that upsampling reaches from the pixel
+    reach = [2 ** (level + 1) - 2 for level in range(LEVELS)]
+    taps = 2 * ALIGNMENT + reach[-1]  # and radiance and trust two of the coarsest cells further
+    most = max(taps + trust, *(logits[level] + reach[level] for level in range(LEVELS)))
+    return -(-most // ALIGNMENT) * ALIGNMENT
+
+
+def macs_per_pixel(network: Pyramid, spp: int) -> float:
+    """Multiply-adds of the convolutions per output pixel, from the layers' sizes."""
+    model, total = Pathfold(network), 0.0
+    for name, module in model.named_modules():
+        if isinstance(module, nn.Conv2d):
+            parts = name.split(".")
+            level = int(parts[1]) + 1 if parts[0] in ("down", "up", "heads") else 1
+            level = int(parts[1]) + 2 if parts[0] == "project" else level
+            total += module.weight.numel() * (spp if parts[0] == "sample" else 0.25**level)
+    return total
