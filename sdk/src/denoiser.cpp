@@ -14,17 +14,32 @@ namespace {
 constexpr int64_t mebibyte = int64_t(1) << 20;
 constexpr int64_t default_logits_bytes = 256 * mebibyte;
 constexpr int64_t default_input_bytes = 512 * mebibyte;
-constexpr int64_t default_window_pixels = 640 * 1024; // 544 x 960 and its overlap: bounds the network's part
+constexpr int64_t default_window_pixels = 640 * 1024;  // 544 x 960 and its overlap: bounds the network's part
+constexpr int64_t pyramid_window_pixels = 1280 * 1024; // its network is lighter and its overlap larger
+
+int64_t square(int64_t value) { return value * value; }
+
+/// Pixels from one entry of an output to the next: 4 for "H/4".
+int step_of(const Dim &dim) { return dim.name.size() > 2 ? std::stoi(dim.name.substr(2)) : 1; }
 
 /// Pixels that a tile's window may have.
-int64_t window_pixels(const Settings &settings, int64_t logits_floats, int64_t input_floats) {
+int64_t window_pixels(const Settings &settings, const Manifest &manifest, int64_t input_floats) {
+    int64_t logits_floats = 0;
+    for (const auto &[name, shape] : manifest.outputs())
+        logits_floats += (shape[1].size + square(step_of(shape[2])) - 1) / square(step_of(shape[2]));
     const int64_t logits_bytes = logits_floats * int64_t(sizeof(float));
     const int64_t input_bytes = input_floats * int64_t(sizeof(float));
     if (settings.memory_mb == 0)
-        return std::min(
-            {default_window_pixels, default_logits_bytes / logits_bytes, default_input_bytes / input_bytes});
+        return std::min({manifest.pyramid ? pyramid_window_pixels : default_window_pixels,
+                         default_logits_bytes / logits_bytes, default_input_bytes / input_bytes});
     // A network's own working memory is about that of its inputs.
     return settings.memory_mb * mebibyte / (logits_bytes + 2 * input_bytes);
+}
+
+/// How many of logits.2 belong to the finest level.
+size_t finest_logits(const Rect &window) {
+    return size_t(PyramidLogits::channels) * Pyramid::rounded_up(window.height) *
+           Pyramid::rounded_up(window.width);
 }
 
 } // namespace
@@ -67,8 +82,14 @@ private:
     std::vector<std::string> find_needs(const Tile &tile) const;
     void denoise(const Tile &tile, size_t index);
     void filter(const Tile &tile, int branch);
-    Logits predict(const Tile &tile, int branch);
-    void fill_neighbourhood(const Tile &tile, int branch);
+    void predict(const Tile &tile, int branch);
+    template <typename Row>
+    void copy_row(int branch, int x, int y, int width, const Row &row) const;
+    void fill_pyramid(const Tile &tile, int branch, int planes);
+    void fill_neighbourhood(const Tile &tile, int branch, int planes);
+    const float *output(const std::string &name) const {
+        return denoiser_.logits_.data() + offsets_.at(name);
+    }
     template <typename Fill>
     void set_results(const Tile &tile, int branch, const Fill &fill);
     void take_results(const Tile &tile, int branch);
@@ -95,6 +116,7 @@ private:
     std::vector<Tile> tiles_;
     std::vector<Planes> results_; // of the tile at hand, per signal
     std::vector<float> gathered_;
+    std::map<std::string, size_t> offsets_;             // of the network's outputs in logits_
     std::vector<char> idle_;                            // per branch: in the whole frame
     std::vector<Work> work_;                            // per branch: done
     std::vector<std::map<std::string, Work>> left_out_; // per branch: not done, by what it was left out for
@@ -102,7 +124,7 @@ private:
 };
 
 void Denoiser::Run::plan() {
-    const int64_t pixels = window_pixels(settings_, manifest_.logit_channels(), packer_.floats_per_pixel());
+    const int64_t pixels = window_pixels(settings_, manifest_, packer_.floats_per_pixel());
     if (settings_.tile % manifest_.tile_alignment != 0)
         fail(PATHFOLD_INVALID_ARGUMENT, "tile is ", settings_.tile, "; it must be a multiple of ",
              manifest_.tile_alignment, " for the model ", manifest_.name);
@@ -115,7 +137,7 @@ void Denoiser::Run::plan() {
     watch_.lap();
     const Rect whole{0, 0, frame_.width(), frame_.height()};
     for (size_t i = 0; i < work_.size(); ++i)
-        idle_.push_back(leaves_out("branches") && is_idle(prepared_, int(i), {whole, whole}, 1));
+        idle_.push_back(leaves_out("branches") && is_idle(prepared_, int(i), {whole, whole}, 0));
     report_.times.needs += watch_.lap();
     report_.tiles = tiles_.size();
     report_.tile_width = tiles_[0].core.width;
@@ -130,7 +152,7 @@ std::vector<std::string> Denoiser::Run::find_needs(const Tile &tile) const {
     bool all_idle = true;
     for (size_t i = 0; i < branches; ++i) {
         idle[i] = idle_[i] || ((leaves_out("branches") || leaves_out("tiles")) &&
-                               is_idle(prepared_, int(i), tile, manifest_.kernel_size));
+                               is_idle(prepared_, int(i), tile, manifest_.reach()));
         all_idle = all_idle && idle[i];
     }
     for (size_t i = 0; i < branches; ++i)
@@ -174,58 +196,99 @@ void Denoiser::Run::denoise(const Tile &tile, size_t index) {
 }
 
 void Denoiser::Run::filter(const Tile &tile, int branch) {
-    const Logits logits = predict(tile, branch);
-    fill_neighbourhood(tile, branch);
-    const size_t pixels = size_t(tile.core.width) * tile.core.height;
-    gathered_.resize(std::max(gathered_.size(), pixels * denoiser_.neighbourhood_.planes()));
-    gather(threads_, logits, denoiser_.neighbourhood_, gathered_.data());
+    predict(tile, branch);
+    int planes = 0;
+    for (const Signal &signal : prepared_.signals)
+        planes += signal.branch == branch ? signal.values.channels() : 0;
+    gathered_.resize(std::max(gathered_.size(), size_t(planes) * tile.core.width * tile.core.height));
+    if (manifest_.pyramid) {
+        fill_pyramid(tile, branch, planes);
+        const PyramidLogits logits{output("trust"),
+                                   {output("logits.2"), output("logits.2") + finest_logits(tile.window),
+                                    output("logits.4"), output("logits.8"), output("logits.16")}};
+        const Rect core{tile.core.x - tile.window.x, tile.core.y - tile.window.y, tile.core.width,
+                        tile.core.height};
+        denoiser_.pyramid_.apply(threads_, logits, core, gathered_.data());
+    } else {
+        fill_neighbourhood(tile, branch, planes);
+        const size_t width = size_t(tile.window.width), plane = width * tile.window.height;
+        const size_t corner = size_t(tile.core.y - tile.window.y) * width + (tile.core.x - tile.window.x);
+        gather(threads_, {output("logits") + corner, plane, width}, denoiser_.neighbourhood_,
+               gathered_.data());
+    }
     take_results(tile, branch);
     report_.times.reconstruct += watch_.lap();
 }
 
-Logits Denoiser::Run::predict(const Tile &tile, int branch) {
-    const int64_t channels = manifest_.logit_channels();
-    const int64_t height = tile.window.height, width = tile.window.width;
+void Denoiser::Run::predict(const Tile &tile, int branch) {
     const std::vector<Tensor> inputs = packer_.inputs(branch);
+    const Branch &active = *prepared_.branches[size_t(branch)].branch;
+    std::vector<Tensor> outputs;
+    size_t total = 0;
+    for (const auto &[name, shape] : model_.graph(active).outputs) {
+        Tensor tensor{name, {}, nullptr};
+        size_t count = 1;
+        for (const Dim &dim : shape) {
+            const int edge = dim.name[0] == 'H' ? tile.window.height : tile.window.width, step = step_of(dim);
+            const int rounded = step > 1 ? Pyramid::rounded_up(edge) / step : edge;
+            tensor.shape.push_back(dim.size >= 0 ? dim.size : rounded);
+            count *= size_t(tensor.shape.back());
+        }
+        offsets_[name] = total;
+        outputs.push_back(std::move(tensor));
+        total += count;
+    }
     std::vector<float> &logits = denoiser_.logits_;
-    logits.resize(std::max(logits.size(), size_t(channels * height * width) + gather_slack));
+    logits.resize(std::max(logits.size(), total + std::max(gather_slack, pyramid_slack)));
+    for (Tensor &tensor : outputs)
+        tensor.data = logits.data() + offsets_.at(tensor.name);
     report_.times.pack += watch_.lap();
-    model_.session(*prepared_.branches[size_t(branch)].branch)
-        .run(inputs, {"logits", {1, channels, height, width}, logits.data()});
+    model_.session(active).run(inputs, outputs);
     report_.times.network += watch_.lap();
-    const int64_t x = tile.core.x - tile.window.x, y = tile.core.y - tile.window.y;
-    return {logits.data() + y * width + x, size_t(height * width), size_t(width)};
 }
 
-void Denoiser::Run::fill_neighbourhood(const Tile &tile, int branch) {
+/// What a row of the branch's signals holds while it is filtered: `row(plane)` says where it goes.
+template <typename Row>
+void Denoiser::Run::copy_row(int branch, int x, int y, int width, const Row &row) const {
+    const Planes &factor = prepared_.branches[size_t(branch)].factor;
+    int plane = 0;
+    for (const Signal &signal : prepared_.signals) {
+        if (signal.branch != branch)
+            continue;
+        for (int c = 0; c < signal.values.channels(); ++c, ++plane) {
+            const float *values = signal.values.row(c, y) + x;
+            if (signal.demodulated)
+                std::transform(values, values + width, factor.row(std::min(c, factor.channels() - 1), y) + x,
+                               row(plane), std::divides<float>());
+            else
+                std::copy_n(values, width, row(plane));
+        }
+    }
+}
+
+void Denoiser::Run::fill_pyramid(const Tile &tile, int branch, int planes) {
+    Pyramid &source = denoiser_.pyramid_;
+    const Rect &window = tile.window;
+    source.reset(planes, window.height, window.width);
+    for_rows(threads_, window.height, [&](int row) {
+        const int y = window.y + row;
+        copy_row(branch, window.x, y, window.width, [&](int plane) { return source.row(plane, row); });
+        std::copy_n(prepared_.valid.data() + size_t(y) * frame_.width() + window.x, window.width,
+                    source.valid_row(row));
+    });
+}
+
+void Denoiser::Run::fill_neighbourhood(const Tile &tile, int branch, int planes) {
     Neighbourhood &source = denoiser_.neighbourhood_;
     const int radius = manifest_.kernel_size / 2;
     const Rect area = grown(tile.core, radius, frame_.width(), frame_.height());
-    const Planes &factor = prepared_.branches[size_t(branch)].factor;
-    int planes = 0;
-    for (const Signal &signal : prepared_.signals)
-        planes += signal.branch == branch ? signal.values.channels() : 0;
     source.reset(planes, tile.core.height, tile.core.width, radius, manifest_.trust);
     const size_t window_width = size_t(tile.window.width);
     const float *trust =
-        denoiser_.logits_.data() + (manifest_.logit_channels() - 1) * window_width * tile.window.height;
+        output("logits") + (manifest_.logit_channels() - 1) * window_width * tile.window.height;
     for_rows(threads_, area.height, [&](int row) {
         const int y = area.y + row, to_y = y - tile.core.y, to_x = area.x - tile.core.x + radius;
-        int plane = 0;
-        for (const Signal &signal : prepared_.signals) {
-            if (signal.branch != branch)
-                continue;
-            for (int c = 0; c < signal.values.channels(); ++c, ++plane) {
-                const float *values = signal.values.row(c, y) + area.x;
-                float *to = source.row(plane, to_y) + to_x;
-                if (signal.demodulated)
-                    std::transform(values, values + area.width,
-                                   factor.row(std::min(c, factor.channels() - 1), y) + area.x, to,
-                                   std::divides<float>());
-                else
-                    std::copy_n(values, area.width, to);
-            }
-        }
+        copy_row(branch, area.x, y, area.width, [&](int plane) { return source.row(plane, to_y) + to_x; });
         const uint8_t *valid = prepared_.valid.data() + size_t(y) * frame_.width() + area.x;
         const float *shifts = trust + size_t(y - tile.window.y) * window_width + (area.x - tile.window.x);
         for (int x = 0; x < area.width; ++x)

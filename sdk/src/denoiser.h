@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "model.h"
 #include "needs.h"
 #include "pack.h"
+#include "pyramid.h"
 #include "reconstruct.h"
 #include "report.h"
 
@@ -42,6 +44,7 @@ private:
     TensorMemory tensors_;        // kept between tiles and frames
     std::vector<float> logits_;   // likewise
     Neighbourhood neighbourhood_; // likewise
+    Pyramid pyramid_;             // likewise
 };
 
 } // namespace pathfold::core

@@ -97,7 +97,7 @@ std::vector<float> naive_logits(const std::string &model, const std::string &gra
         inputs.push_back({port.name, shape, input.data()});
     }
     std::vector<float> logits(size_t(taps) * height * width);
-    session.run(inputs, {"logits", {1, taps, height, width}, logits.data()});
+    session.run(inputs, {{"logits", {1, taps, height, width}, logits.data()}});
     return logits;
 }
 

@@ -251,19 +251,21 @@ Session::Session(const void *model, size_t size, const std::string &name, const 
 Session::~Session() = default;
 Session::Session(Session &&) noexcept = default;
 
-void Session::run(const std::vector<Tensor> &inputs, const Tensor &output) const {
+void Session::run(const std::vector<Tensor> &inputs, const std::vector<Tensor> &outputs) const {
     const OrtApi *api = handles_->api;
-    Values values(api), result(api);
-    std::vector<const char *> names;
+    Values values(api), results(api);
+    std::vector<const char *> names, result_names;
     for (const Tensor &tensor : inputs) {
         values.add(tensor);
         names.push_back(tensor.name.c_str());
     }
-    result.add(output);
-    const char *output_name = output.name.c_str();
+    for (const Tensor &tensor : outputs) {
+        results.add(tensor);
+        result_names.push_back(tensor.name.c_str());
+    }
     check(api,
-          api->Run(handles_->session, nullptr, names.data(), values.data(), names.size(), &output_name, 1,
-                   result.data()),
+          api->Run(handles_->session, nullptr, names.data(), values.data(), names.size(), result_names.data(),
+                   result_names.size(), results.data()),
           "running " + name_);
 }
 

@@ -37,8 +37,8 @@ public:
     const std::vector<Port> &inputs() const { return inputs_; }
     const std::vector<Port> &outputs() const { return outputs_; }
 
-    /// Runs the graph into `output`, whose memory the caller gives.
-    void run(const std::vector<Tensor> &inputs, const Tensor &output) const;
+    /// Runs the graph into `outputs`, whose memory the caller gives.
+    void run(const std::vector<Tensor> &inputs, const std::vector<Tensor> &outputs) const;
 
 private:
     struct Handles;

@@ -43,7 +43,7 @@ TEST(Engine, FailuresOfARunAreSaid) {
     const std::vector<Tensor> inputs = {{"radiance", {1, 2, 4, 4}, values.data()},
                                         {"exposure", {1}, values.data()}};
     expect_error(
-        PATHFOLD_ENGINE, [&] { session.run(inputs, {"logits", {1, 9, 4, 4}, values.data()}); },
+        PATHFOLD_ENGINE, [&] { session.run(inputs, {{"logits", {1, 9, 4, 4}, values.data()}}); },
         "running color.onnx", "radiance");
 }
 

@@ -9,6 +9,7 @@
 
 #include "buffers.h"
 #include "error.h"
+#include "pyramid.h"
 
 namespace pathfold::core {
 namespace {
@@ -159,7 +160,7 @@ Shape read_shape(const Field &field) {
     for (const Field &axis : field.items()) {
         Dim dim;
         if (axis.is_string())
-            dim.name = axis.one_of({"H", "W", "S"});
+            dim.name = axis.one_of({"H", "W", "S", "H/2", "W/2", "H/4", "W/4", "H/8", "W/8", "H/16", "W/16"});
         else
             dim.size = axis.integer(1, 1 << 20);
         shape.push_back(dim);
@@ -185,7 +186,7 @@ std::vector<std::string> read_buffers(const Field &field) {
     return names;
 }
 
-Graph read_graph(const Field &field, int64_t logit_channels) {
+Graph read_graph(const Field &field, const std::map<std::string, Shape> &outputs) {
     field.keys({"file", "sha256", "inputs", "outputs"});
     Graph graph;
     const Field file = field.at("file"), hash = field.at("sha256");
@@ -204,9 +205,14 @@ Graph read_graph(const Field &field, int64_t logit_channels) {
         graph.inputs[name] = read_shape(input);
         expect_shape(input, graph.inputs[name], right);
     }
-    const Field logits = field.at("outputs").keys({"logits"}).at("logits");
-    graph.logits = read_shape(logits);
-    expect_shape(logits, graph.logits, {{1, ""}, {logit_channels, ""}, {-1, "H"}, {-1, "W"}});
+    std::set<std::string> names;
+    for (const auto &[name, right] : outputs)
+        names.insert(name);
+    const Field given = field.at("outputs").keys(names);
+    for (const auto &[name, right] : outputs) {
+        graph.outputs[name] = read_shape(given.at(name));
+        expect_shape(given.at(name), graph.outputs[name], right);
+    }
     return graph;
 }
 
@@ -226,20 +232,27 @@ Branch read_branch(const Field &field) {
 }
 
 void read_reconstruction(const Field &field, Manifest &manifest) {
-    field.keys({"operator", "size", "trust", "branches"});
-    field.at("operator").one_of({"gather"});
-    manifest.kernel_size = int(field.at("size").integer(1, max_kernel));
-    if (manifest.kernel_size % 2 == 0)
-        field.at("size").wrong("odd");
-    manifest.trust = field.has("trust") && field.at("trust").boolean();
+    manifest.pyramid = field.at("operator").one_of({"gather", "pyramid"}) == "pyramid";
+    if (manifest.pyramid) {
+        field.keys({"operator", "branches"});
+    } else {
+        field.keys({"operator", "size", "trust", "branches"});
+        manifest.kernel_size = int(field.at("size").integer(1, max_kernel));
+        if (manifest.kernel_size % 2 == 0)
+            field.at("size").wrong("odd");
+        manifest.trust = field.has("trust") && field.at("trust").boolean();
+    }
     const Field branches = field.at("branches");
     for (const Field &item : branches.items())
         manifest.branches.push_back(read_branch(item));
     const auto unsplit = [](const Branch &branch) { return branch.unsplit; };
     if (std::count_if(manifest.branches.begin(), manifest.branches.end(), unsplit) != 1)
         branches.wrong("branches of which exactly one has \"unsplit\": true");
-    if (!manifest.unsplit_branch().demodulate_by.empty())
-        branches.wrong("such that the branch with \"unsplit\" has no \"demodulate\"");
+    // color, layers and all can be divided by one guide, but not by that of diffuse radiance alone
+    const Branch &whole = manifest.unsplit_branch();
+    if (!whole.demodulate_by.empty() && !(whole.radiance == "color" && whole.demodulate_by == "albedo"))
+        branches.wrong(
+            "such that the branch with \"unsplit\" has no \"demodulate\", or is color's, by albedo");
     std::set<std::string> radiance;
     for (const Branch &branch : manifest.branches)
         radiance.insert(branch.radiance);
@@ -283,7 +296,7 @@ Shape input_shape(const std::string &name) {
     const Dim one{1, ""}, height{-1, "H"}, width{-1, "W"}, samples{-1, "S"};
     if (name == "exposure" || name == "depth_scale")
         return {one};
-    for (const char *flag : {"variance", "albedo", "normal", "depth", "split"})
+    for (const char *flag : {"variance", "albedo", "normal", "depth", "split", "paths"})
         if (name == flag + std::string(".present"))
             return {one};
     if (name == "radiance")
@@ -298,6 +311,23 @@ Shape input_shape(const std::string &name) {
 
 const Branch &Manifest::unsplit_branch() const {
     return *std::find_if(branches.begin(), branches.end(), [](const Branch &b) { return b.unsplit; });
+}
+
+int Manifest::reach() const { return pyramid ? Pyramid::reach : kernel_size / 2; }
+
+std::map<std::string, Shape> Manifest::outputs() const {
+    const auto logits = [](int64_t channels, const std::string &part) {
+        return Shape{{1, ""}, {channels, ""}, {-1, "H" + part}, {-1, "W" + part}};
+    };
+    if (!pyramid)
+        return {{"logits", logits(logit_channels(), "")}};
+    constexpr int64_t level = PyramidLogits::channels;
+    return {
+        {"trust", logits(4, "/2")},
+        {"logits.2", logits(4 * level + level, "/2")}, // four pixels of the finest level, then the next one
+        {"logits.4", logits(level, "/4")},
+        {"logits.8", logits(level, "/8")},
+        {"logits.16", logits(PyramidLogits::coarsest_channels, "/16")}};
 }
 
 bool Manifest::reads(const std::string &buffer) const {
@@ -330,15 +360,17 @@ Manifest Manifest::parse(const std::string &text) {
     manifest.uses = read_buffers(root.at("uses"));
     read_reconstruction(root.at("reconstruction"), manifest);
     for (const auto &[name, graph] : root.at("graphs").members())
-        manifest.graphs[name] = read_graph(graph, manifest.logit_channels());
+        manifest.graphs[name] = read_graph(graph, manifest.outputs());
     const Field exposure = root.at("exposure").keys({"rule", "key"});
     exposure.at("rule").one_of({"log-average"});
     manifest.exposure_key = float(exposure.at("key").number(1e-3, 1e3));
     const Field tile = root.at("tile").keys({"alignment", "overlap"});
     manifest.tile_alignment = int(tile.at("alignment").integer(1, 1024));
+    if (manifest.pyramid && manifest.tile_alignment % Pyramid::alignment != 0)
+        tile.at("alignment").wrong("a multiple of ", Pyramid::alignment, " for a pyramid");
     // a trusted pixel's own number is read wherever a kernel reaches
-    manifest.tile_overlap =
-        int(tile.at("overlap").integer(manifest.trust ? manifest.kernel_size / 2 : 0, 4096));
+    const bool trust = manifest.trust || manifest.pyramid;
+    manifest.tile_overlap = int(tile.at("overlap").integer(trust ? manifest.reach() : 0, 4096));
     const Field samples = root.at("samples_per_pixel").keys({"min", "max"});
     manifest.min_samples = samples.at("min").integer(1, 1 << 30);
     manifest.max_samples = samples.at("max").integer(manifest.min_samples, 1 << 30);

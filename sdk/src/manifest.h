@@ -7,7 +7,8 @@
 
 namespace pathfold::core {
 
-/// One axis of a tensor: a size, or a name ("H", "W", "S") where size is -1.
+/// One axis of a tensor: a size, or a name ("H", "W", "S") where size is -1. "H/4" is a quarter of H rounded
+/// up to a multiple of 16.
 struct Dim {
     int64_t size = -1;
     std::string name;
@@ -17,11 +18,10 @@ using Shape = std::vector<Dim>;
 /// "[1, 3, H, W]".
 std::string shape_text(const Shape &shape);
 
-/// A network: its file and what it says of its own inputs and of its one output, "logits".
+/// A network: its file and what it says of its own inputs and outputs.
 struct Graph {
     std::string file, sha256;
-    std::map<std::string, Shape> inputs;
-    Shape logits;
+    std::map<std::string, Shape> inputs, outputs;
 };
 
 /// One set of kernels and the radiance that it filters.
@@ -39,7 +39,8 @@ struct Manifest {
     std::vector<std::string> requires_, uses;
     std::map<std::string, Graph> graphs;
     int kernel_size = 0;
-    bool trust = false; ///< whether networks predict a shift per pixel too, after the kernels' logits
+    bool pyramid = false; ///< kernels on five levels instead of one, see pyramid.h
+    bool trust = false;   ///< whether networks predict a shift per pixel too, after the kernels' logits
     std::vector<Branch> branches;
     float exposure_key = 0.18f;
     int tile_alignment = 1, tile_overlap = 0;
@@ -47,7 +48,9 @@ struct Manifest {
 
     const Branch &unsplit_branch() const;
     int64_t logit_channels() const { return int64_t(kernel_size) * kernel_size + (trust ? 1 : 0); }
-    bool reads(const std::string &buffer) const; ///< whether the model requires or can use it
+    int reach() const; ///< how many pixels away a value can be that a result depends on
+    std::map<std::string, Shape> outputs() const; ///< what its graphs must give
+    bool reads(const std::string &buffer) const;  ///< whether the model requires or can use it
 
     /// Throws invalid-model (unsupported for a newer format), naming the key, what it is, what it must be.
     static Manifest parse(const std::string &text);

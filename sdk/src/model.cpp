@@ -74,7 +74,8 @@ void compare_with_graph(const Graph &graph, const Session &session) {
         if (graph.inputs.count(port.name) == 0)
             fail(PATHFOLD_INVALID_MODEL, "the manifest lies about its graph: ", graph.file, " has the input ",
                  port.name, ", which the manifest does not list");
-    compare_port(graph.file, "logits", graph.logits, session.outputs(), true);
+    for (const auto &[name, shape] : graph.outputs)
+        compare_port(graph.file, name, shape, session.outputs(), true);
 }
 
 Session load_graph(const fs::path &folder, const Graph &graph, const std::string &provider, int threads) {

@@ -97,9 +97,9 @@ bool is_converged(const Frame &frame, const Prepared &prepared, const Rect &core
     return error <= converged_error * double(values) * core.height;
 }
 
-bool is_idle(const Prepared &prepared, int branch, const Tile &tile, int kernel_size) {
+bool is_idle(const Prepared &prepared, int branch, const Tile &tile, int reach) {
     for (const Signal &signal : prepared.signals) {
-        const Rect area = grown(tile.core, kernel_size / 2, signal.values.width(), signal.values.height());
+        const Rect area = grown(tile.core, reach, signal.values.width(), signal.values.height());
         if (signal.branch == branch && !stays_itself(signal, area))
             return false;
     }

@@ -36,7 +36,7 @@ constexpr double converged_error = 1e-4;
 bool is_converged(const Frame &frame, const Prepared &prepared, const Rect &core, int64_t samples);
 
 /// Whether the branch changes nothing in the tile, so that its network need not run: everything that its
-/// kernels would filter is constant as far as they reach (0 where it is demodulated or masked).
-bool is_idle(const Prepared &prepared, int branch, const Tile &tile, int kernel_size);
+/// kernels would filter is constant as far as they reach, in pixels (0 where it is demodulated or masked).
+bool is_idle(const Prepared &prepared, int branch, const Tile &tile, int reach);
 
 } // namespace pathfold::core

@@ -25,17 +25,17 @@ const Tile tile{{8, 8, 8, 8}, {0, 0, 24, 24}};
 } // namespace
 
 TEST(Needs, ConstantTilesAreIdle) {
-    EXPECT_TRUE(is_idle(prepared_with(constant(0), false), 0, tile, 5));
-    EXPECT_TRUE(is_idle(prepared_with(constant(3), false), 0, tile, 5));
-    EXPECT_TRUE(is_idle(prepared_with(constant(0), true), 0, tile, 5));
-    EXPECT_FALSE(is_idle(prepared_with(constant(3), true), 0, tile, 5)); // albedo may vary
+    EXPECT_TRUE(is_idle(prepared_with(constant(0), false), 0, tile, 2));
+    EXPECT_TRUE(is_idle(prepared_with(constant(3), false), 0, tile, 2));
+    EXPECT_TRUE(is_idle(prepared_with(constant(0), true), 0, tile, 2));
+    EXPECT_FALSE(is_idle(prepared_with(constant(3), true), 0, tile, 2)); // albedo may vary
 }
 
 TEST(Needs, WhatAKernelReachesMatters) {
     Planes values = constant(0);
     values.row(1, 17)[12] = 1; // two pixels below the tile
-    EXPECT_FALSE(is_idle(prepared_with(values, false), 0, tile, 5));
-    EXPECT_TRUE(is_idle(prepared_with(values, false), 0, tile, 3));
+    EXPECT_FALSE(is_idle(prepared_with(values, false), 0, tile, 2));
+    EXPECT_TRUE(is_idle(prepared_with(values, false), 0, tile, 1));
 }
 
 TEST(Needs, LayersKeepABranchBusy) {
@@ -43,7 +43,7 @@ TEST(Needs, LayersKeepABranchBusy) {
     Planes layer = constant(0);
     layer.row(0, 9)[9] = -1;
     prepared.signals.push_back({"key", 0, false, true, layer});
-    EXPECT_FALSE(is_idle(prepared, 0, tile, 5));
+    EXPECT_FALSE(is_idle(prepared, 0, tile, 2));
 }
 
 TEST(Needs, UnreadBuffers) {

@@ -115,6 +115,8 @@ float Packer::scalar(const std::string &input, int branch) const {
         return prepared_.depth_scale;
     if (buffer == "split")
         return prepared_.split ? 1.0f : 0.0f;
+    if (buffer == "paths")
+        return frame_.has("samples.descriptor") ? 1.0f : 0.0f;
     if (buffer == "variance") // a single sample tells nothing of it
         return frame_.has(prepared_.branches[size_t(branch)].variance) && frame_.samples() != 1 ? 1.0f : 0.0f;
     return frame_.has(buffer) ? 1.0f : 0.0f;

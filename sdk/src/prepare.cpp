@@ -181,8 +181,11 @@ void add_branches(const Frame &frame, const Manifest &manifest, Prepared &prepar
     Planes color = load_buffer(frame.has("color") ? "color" : "diffuse");
     if (!frame.has("color"))
         add(color, load_buffer("specular"), threads);
-    prepared.branches.push_back({&manifest.unsplit_branch(), "color", "variance", {}});
-    prepared.signals.push_back({"color", 0, false, false, std::move(color)});
+    const Branch &branch = manifest.unsplit_branch();
+    const bool demodulated = frame.has(branch.demodulate_by);
+    prepared.branches.push_back(
+        {&branch, "color", "variance", demodulated ? load_factor(frame, branch, threads) : Planes()});
+    prepared.signals.push_back({"color", 0, demodulated, false, std::move(color)});
 }
 
 int branch_with(const Prepared &prepared, const std::string &radiance) {
@@ -211,7 +214,8 @@ void add_layers(const Frame &frame, Prepared &prepared, Threads &threads) {
         Planes values = load_rider(part->second, true, prepared, threads);
         if (++part != layer.parts.end())
             add(values, load_rider(part->second, true, prepared, threads), threads);
-        prepared.signals.push_back({layer.name, 0, false, true, std::move(values)});
+        // the beauty's own factor, so that layers add up to it
+        prepared.signals.push_back({layer.name, 0, prepared.signals[0].demodulated, true, std::move(values)});
     }
 }
 

@@ -16,8 +16,9 @@ def model_card(manifest: dict[str, Any]) -> str:
     seconds = [training["seconds"], training["cpu_seconds"]]
     if start:
         seconds = [seconds[0] + start["seconds"], seconds[1] + start["cpu_seconds"]]
-    side = manifest["reconstruction"]["size"]
-    cost = f"{training['kmac_per_pixel']:.0f} kMAC per pixel at 8 spp, both branches, plus the {side}x{side} gather"
+    side = manifest["reconstruction"].get("size")
+    operator = f"both branches, plus the {side}x{side} gather" if side else "plus the gather pyramid"
+    cost = f"{training['kmac_per_pixel']:.0f} kMAC per pixel at 8 spp, {operator}"
     steps = f"{training['steps']} of {crops['batch']} crops of {crops['crop']}x{crops['crop']} pixels{begun}"
     weights = f"{config['loss']['branch']:g} on each branch, manifold lambda {config['loss']['manifold']:g}"
     rate = f"{optimiser['learning_rate']:g} with a cosine to {optimiser['final_fraction']:g} of it"

@@ -17,8 +17,9 @@ from .card import model_card
 from .config import Config
 from .features import DEMODULATION_EPSILON, DESCRIPTOR_CHANNELS, OPTIONAL
 from .fit import training_seconds
-from .networks import embedding
-from .networks.kpcn import BRANCHES, Branch, macs_per_pixel, overlap
+from .networks import embedding, kpcn, pathfold
+from .networks.kpcn import BRANCHES, Branch, Kpcn
+from .networks.pathfold import Pathfold
 from .references import write_references
 from .task import Denoising
 
@@ -35,14 +36,18 @@ def input_shape(name: str) -> list[int | str]:
 
 
 class Graph(nn.Module):
-    """A branch with positional inputs, as the exporter wants them."""
+    """A network with positional inputs and outputs, as the exporter wants them."""
 
-    def __init__(self, branch: Branch) -> None:
+    def __init__(self, branch: Branch | Pathfold) -> None:
         super().__init__()
         self.branch = branch
 
-    def forward(self, *tensors: Tensor) -> Tensor:
-        return self.branch(dict(zip(self.branch.input_names(), tensors, strict=True))).logits
+    def forward(self, *tensors: Tensor) -> Tensor | tuple[Tensor, ...]:
+        predicted = self.branch(dict(zip(self.branch.input_names(), tensors, strict=True)))
+        if isinstance(self.branch, Pathfold):
+            trust, logits, _ = predicted
+            return (trust, *logits)
+        return predicted.logits  # type: ignore[no-any-return]
 
 
 def with_trust_as_last_logit(branch: Branch) -> Branch:
@@ -95,21 +100,23 @@ def load_task(checkpoint: Path) -> tuple[Denoising, dict]:
     return task.float().eval(), state
 
 
-def write_graph(module: Graph, path: Path, output: str) -> None:
-    """Export one branch with dynamic height, width and sample count."""
+def write_graph(module: Graph, path: Path, outputs: dict[str, list[int | str]]) -> None:
+    """Export one network with dynamic height, width and sample count; `outputs` are names and shapes, in order."""
     names = module.branch.input_names()
     height, width, samples = 24, 40, 3  # any example: no size is baked in
     sizes = {"S": samples, "H": height, "W": width}
     example = tuple(torch.rand([n if isinstance(n, int) else sizes[n] for n in input_shape(name)]) for name in names)
     axes = {n: {i: str(s) for i, s in enumerate(input_shape(n)) if isinstance(s, str)} for n in names}
-    axes = {n: a for n, a in axes.items() if a} | {output: {2: "H", 3: "W"}}
+    axes |= {
+        n: {i: str(s).replace("/", "_over_") for i, s in enumerate(o) if isinstance(s, str)} for n, o in outputs.items()
+    }
     torch.onnx.export(
         module.eval(),
         example,
         path,
         input_names=names,
-        output_names=[output],
-        dynamic_axes=axes,
+        output_names=list(outputs),
+        dynamic_axes={n: a for n, a in axes.items() if a},
         opset_version=OPSET,
         dynamo=False,
     )
@@ -120,12 +127,12 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) 
     """Write the model folder `out`; `record` is the training run's record.json. Returns `out`."""
     task, state = load_task(checkpoint)
     out.mkdir(parents=True, exist_ok=True)
-    for name in BRANCHES:
-        branch = task.model.branch(name)
-        write_graph(Graph(with_trust_as_last_logit(branch)), out / f"{name}.onnx", "logits")
+    if isinstance(task.model, Pathfold):
         if standalone:
-            size = task.config.network.kernel_size
-            write_graph(Standalone(branch, size), out / f"{name}-standalone.onnx", "filtered")
+            raise ValueError(f"{task.config.name}: a gather pyramid has no graph with the reconstruction inside")
+        write_graph(Graph(task.model), out / "network.onnx", task.model.output_shapes())
+    else:
+        write_branches(task.model, out, standalone)
     manifest = describe(task, state, out, record)
     (out / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
     (out / "README.md").write_text(model_card(manifest))
@@ -133,27 +140,59 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) 
     return out
 
 
+def write_branches(model: Kpcn, out: Path, standalone: bool) -> None:
+    size = model.network.kernel_size
+    for name in BRANCHES:
+        branch = model.branch(name)
+        logits: list[int | str] = [1, size**2 + model.network.trust, "H", "W"]
+        write_graph(Graph(with_trust_as_last_logit(branch)), out / f"{name}.onnx", {"logits": logits})
+        if standalone:
+            filtered: dict[str, list[int | str]] = {"filtered": [1, 3, "H", "W"]}
+            write_graph(Standalone(branch, size), out / f"{name}-standalone.onnx", filtered)
+
+
 def describe(task: Denoising, state: dict, out: Path, record: dict) -> dict:
     """The manifest (DESIGN: contract 4.5)."""
-    network = task.config.network
-    channels = network.kernel_size**2 + network.trust
-    graphs = {}
-    for name in BRANCHES:
-        graphs[name] = {
-            "file": f"{name}.onnx",
-            "sha256": hashlib.sha256((out / f"{name}.onnx").read_bytes()).hexdigest(),
-            "inputs": {n: input_shape(n) for n in task.model.branch(name).input_names()},
-            "outputs": {"logits": [1, channels, "H", "W"]},
-        }
-    paths = ["samples.descriptor", "samples.density"] if network.embedding else []
-    uses = ["diffuse", "specular", "diffuse.albedo", "diffuse.variance", "specular.variance"]
-    uses += [n for n in OPTIONAL if n != "split"] + (["samples.valid"] if network.embedding else [])
-    demodulate = {"by": "diffuse.albedo", "epsilon": DEMODULATION_EPSILON}
+    own = describe_pyramid(task.model, out) if isinstance(task.model, Pathfold) else describe_branches(task.model, out)
     return {
         "format": 1,
         "name": task.config.name,
         "description": task.config.description,
         "license": "Apache-2.0",
+        **own,
+        "exposure": {"rule": "log-average", "key": 0.18},
+        "samples_per_pixel": {"min": task.config.data.spp_min, "max": task.config.data.spp_max},
+        "precision": "fp32",
+        "training": {**record, "steps": state["global_step"], "kmac_per_pixel": macs_per_pixel(task.model) / 1e3}
+        | training_seconds(state),
+    }
+
+
+def macs_per_pixel(model: Kpcn | Pathfold, spp: int = 8) -> float:
+    if isinstance(model, Pathfold):
+        return pathfold.macs_per_pixel(model.network, spp)
+    return kpcn.macs_per_pixel(model.network, spp)
+
+
+def describe_graph(network: Branch | Pathfold, file: Path, outputs: dict[str, list[int | str]]) -> dict:
+    return {
+        "file": file.name,
+        "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+        "inputs": {n: input_shape(n) for n in network.input_names()},
+        "outputs": outputs,
+    }
+
+
+def describe_branches(model: Kpcn, out: Path) -> dict:
+    """KPCN's own part of the manifest: two gathers."""
+    network = model.network
+    logits: list[int | str] = [1, network.kernel_size**2 + network.trust, "H", "W"]
+    graphs = {n: describe_graph(model.branch(n), out / f"{n}.onnx", {"logits": logits}) for n in BRANCHES}
+    paths = ["samples.descriptor", "samples.density"] if network.embedding else []
+    uses = ["diffuse", "specular", "diffuse.albedo", "diffuse.variance", "specular.variance"]
+    uses += [n for n in OPTIONAL if n != "split"] + (["samples.valid"] if network.embedding else [])
+    demodulate = {"by": "diffuse.albedo", "epsilon": DEMODULATION_EPSILON}
+    return {
         "requires": ["color", *paths],
         "uses": uses,
         "graphs": graphs,
@@ -166,10 +205,18 @@ def describe(task: Denoising, state: dict, out: Path, record: dict) -> dict:
                 {"name": "specular", "graph": "specular", "radiance": "specular", "unsplit": True},
             ],
         },
-        "exposure": {"rule": "log-average", "key": 0.18},
-        "tile": {"alignment": embedding.ALIGNMENT, "overlap": overlap(network)},
-        "samples_per_pixel": {"min": task.config.data.spp_min, "max": task.config.data.spp_max},
-        "precision": "fp32",
-        "training": {**record, "steps": state["global_step"], "kmac_per_pixel": macs_per_pixel(network, 8) / 1e3}
-        | training_seconds(state),
+        "tile": {"alignment": embedding.ALIGNMENT, "overlap": kpcn.overlap(network)},
+    }
+
+
+def describe_pyramid(model: Pathfold, out: Path) -> dict:
+    """The pathfold family's own part of the manifest: one pyramid, everything but color optional."""
+    demodulate = {"by": "albedo", "epsilon": pathfold.ALBEDO_EPSILON}
+    branch = {"name": "color", "graph": "network", "radiance": "color", "unsplit": True, "demodulate": demodulate}
+    return {
+        "requires": ["color"],
+        "uses": [n for n in pathfold.OPTIONAL if n != "paths"] + ["samples.descriptor", "samples.valid"],
+        "graphs": {"network": describe_graph(model, out / "network.onnx", model.output_shapes())},
+        "reconstruction": {"operator": "pyramid", "branches": [branch]},
+        "tile": {"alignment": pathfold.ALIGNMENT, "overlap": pathfold.overlap(model.network)},
     }

@@ -15,6 +15,7 @@ from pathfold.check.prepare import Prepared, prepare, reads
 from pathfold.check.references import References, frame_hash
 from torch import Tensor
 
+from .networks.pathfold import Pathfold
 from .networks.reconstruct import gather
 from .task import Denoising
 
@@ -38,15 +39,21 @@ def denoise(task: Denoising, frame: Prepared, manifest: dict[str, Any]) -> tuple
     total, largest = np.zeros_like(frame.branches[0].radiance), 0.0
     masked = torch.from_numpy(~frame.valid)
     for part in frame.branches:
-        branch = task.model.branch(part.graph)
-        inputs = {name: tensor(name, part.inputs[name]) for name in branch.input_names()}
         radiance = tensor("radiance", part.demodulated).masked_fill(masked, float("nan"))
         with torch.no_grad():
-            predicted = branch(inputs)
-            size = manifest["reconstruction"]["size"]
-            filtered = gather(predicted.logits, radiance, size, trust=predicted.trust)
-        shift = 0.0 if predicted.trust is None else float(predicted.trust.abs().max())
-        largest = max(largest, float(predicted.logits.abs().max()) + shift)
+            if isinstance(task.model, Pathfold):
+                trust, logits, _ = task.model(
+                    {name: tensor(name, part.inputs[name]) for name in task.model.input_names()}
+                )
+                filtered = task.model.reconstruct(trust, logits, radiance)
+                largest = max(float(level.abs().max()) for level in (trust, *logits))
+            else:
+                branch = task.model.branch(part.graph)
+                predicted = branch({name: tensor(name, part.inputs[name]) for name in branch.input_names()})
+                size = manifest["reconstruction"]["size"]
+                filtered = gather(predicted.logits, radiance, size, trust=predicted.trust)
+                shift = 0.0 if predicted.trust is None else float(predicted.trust.abs().max())
+                largest = max(largest, float(predicted.logits.abs().max()) + shift)
         total += filtered[0].permute(1, 2, 0).numpy() * part.factor
     if not np.isfinite(total).all():
         raise ValueError("the network's result is not finite in float64, so it has no reference; train it anew")

@@ -63,11 +63,12 @@ def prepare(buffers: Buffers, manifest: dict[str, Any]) -> Prepared:
     shared = guides(double, split) | samples(double, valid.shape)
     shared |= {"exposure": np.array([exposure]), "depth_scale": np.array([depth_scale])}
     shared["split.present"] = np.array([float(split)])
+    shared["paths.present"] = np.array([float("samples.descriptor" in double)])
     made = []
     for branch, name, values in zip(branches, names, radiance, strict=True):
         factor = np.ones_like(values)
-        if "demodulate" in branch and split:
-            by = branch["demodulate"]["by"]
+        by = branch.get("demodulate", {}).get("by")
+        if by in double:
             factor = guide(double[by], by) + branch["demodulate"]["epsilon"]
         values = np.minimum(values, cap)
         variance = double.get("variance" if name == "color" else f"{name}.variance")

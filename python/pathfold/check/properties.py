@@ -100,7 +100,7 @@ def constants(subject: Subject, row: Row) -> None:
 
 @holds("bad pixel", "NaN in every buffer changes nothing beyond the receptive field, to the bit")
 def bad_pixel(subject: Subject, row: Row) -> None:
-    reach, at = subject.manifest["tile"]["overlap"] + subject.manifest["reconstruction"]["size"] // 2, 2
+    reach, at = subject.manifest["tile"]["overlap"] + subject.manifest["reconstruction"].get("size", 1) // 2, 2
     clean = cases.frame(THICKNESS, at + reach + 1 + 16)
     clean["depth"][5, at] = 0  # a damaged depth counts as a miss and leaves the depth scale alone
     for buffers in (clean, transposed(clean)):
@@ -148,7 +148,7 @@ def sample_order(subject: Subject, row: Row) -> None:
 
 @holds("saturated logits", "the gather on logits to +-1e4 with masked pixels, against float64", "gather")
 def saturated_logits(subject: Subject, row: Row) -> None:
-    size, draw = int(subject.manifest["reconstruction"]["size"]), Draw(22)
+    size, draw = int(subject.manifest["reconstruction"].get("size", 5)), Draw(22)
     image = (draw.uniform(15, 17, 3) / (1.0001 - draw.uniform(15, 17, 3))).astype(np.float32)
     image[draw.uniform(15, 17) < 0.1] = math.nan
     for spread in (1.0, 20.0, 1e4):

@@ -62,7 +62,8 @@ def model(name: str) -> Iterator[str]:
 
 def reconstruction(block: dict[str, Any]) -> str:
     branches = ", ".join(branch["name"] for branch in block["branches"])
-    return f"{block['operator']} {block['size']}x{block['size']} ({branches})"
+    size = f" {block['size']}x{block['size']}" if "size" in block else ""
+    return f"{block['operator']}{size} ({branches})"
 
 
 def picture(path: Path) -> Iterator[str]:

@@ -24,6 +24,7 @@ OPTIONAL = ("variance", "albedo", "normal", "depth", "paths")
 PIXEL_CHANNELS = 3 + 1 + 3 + 3 + 1
 ALBEDO_EPSILON = 0.01  # of the demodulator albedo + epsilon: bounds what a black albedo can amplify to a hundredfold
 SAMPLE_WIDTH = 32
+HEADS = [4 * LEVEL_LOGITS + LEVEL_LOGITS, LEVEL_LOGITS, LEVEL_LOGITS, COARSEST_LOGITS]  # channels from 1/2 to 1/16
 TRUST_START = -2.0  # sigmoid(-2) * -9 = -1.1: room on both sides of the initial trust
 
 
@@ -56,8 +57,7 @@ class Pathfold(nn.Module):
         self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(widths))
         self.up = nn.ModuleList(block(a, a, n) for a, n in zip(widths[:-1], counts[:-1], strict=True))
         self.trust = nn.Conv2d(widths[0], 4, 1)
-        outputs = [4 * LEVEL_LOGITS + LEVEL_LOGITS] + [LEVEL_LOGITS] * (LEVELS - 3) + [COARSEST_LOGITS]
-        self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, outputs, strict=True))
+        self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, HEADS, strict=True))
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
@@ -75,17 +75,17 @@ class Pathfold(nn.Module):
     def forward(
         self, inputs: dict[str, Tensor], counts: list[int] | None = None
     ) -> tuple[Tensor, list[Tensor], Tensor]:
-        """Trust B x 4 x H/2 x W/2 in [-9, 0]; per level B x channels x h x w; the embeddings N x C x H x W.
+        """Trust B x 4 x H/2 x W/2 in [-9, 0]; logits from 1/2 to 1/16 resolution; the embeddings N x C x H x W.
 
-        H and W are rounded up to multiples of 16. The first entry of the list is level 0's, four pixels in the
-        channels as pixel_shuffle orders them, so it is as large as the second one.
+        H and W are rounded up to multiples of 16. At 1/2 there are level 0's logits, four pixels in the channels as
+        pixel_shuffle orders them, and then level 1's: B x 150 x H/2 x W/2.
         """
         features = path_features(inputs, counts)
         if torch.is_autocast_enabled(features.device.type):  # before the convolutions' own cast, a copy more
             features = features.to(torch.get_autocast_dtype(features.device.type))
         paths = self.sample(features.contiguous(memory_format=torch.channels_last))
         pixels = functional.pixel_unshuffle(aligned(pixel_features(inputs)), 2)
-        moments = embedding_moments(paths.float(), inputs["samples.valid"], counts)
+        moments = embedding_moments(exact(paths), inputs["samples.valid"], counts)
         x = torch.cat([pixels, moments], 1).contiguous(memory_format=torch.channels_last)
         present = torch.stack([inputs[f"{name}.present"].reshape(-1) for name in OPTIONAL], 1)
         x = torch.relu(self.first(x) + self.presence(present)[:, :, None, None])
@@ -93,23 +93,35 @@ class Pathfold(nn.Module):
         for level, down in enumerate(self.down):
             x = down(functional.max_pool2d(x, 2) if level > 0 else x)
             skips.append(x)
-        trust = -9.0 * torch.sigmoid(self.trust(skips[0]).float())
+        trust = -9.0 * torch.sigmoid(exact(self.trust(skips[0])))
         logits = [self.heads[-1](x)]
         for level in reversed(range(len(self.up))):
             x = self.up[level](skips[level] + upsample(self.project[level](x)))
             logits.insert(0, self.heads[level](x))
-        fine, half = torch.split(logits[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
-        return trust, [fine, half, *logits[1:]], paths
+        return trust, logits, paths
+
+    @staticmethod
+    def output_shapes() -> dict[str, list[int | str]]:
+        """Graph outputs in the order of `forward`; "H/4" is a quarter of H rounded up to a multiple of 16."""
+        shapes: dict[str, list[int | str]] = {"trust": [1, 4, "H/2", "W/2"]}
+        for level, channels in enumerate(HEADS, 1):
+            shapes[f"logits.{1 << level}"] = [1, channels, f"H/{1 << level}", f"W/{1 << level}"]
+        return shapes
 
     def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Tensor, list[Tensor], Tensor]:
-        """The denoised radiance B x 3 x H x W, linear and unexposed; the logits per level; the embeddings."""
-        trust, levels, paths = self(inputs, counts)
+        """The denoised radiance B x 3 x H x W, linear and unexposed; the logits; the embeddings."""
+        trust, predicted, paths = self(inputs, counts)
         with torch.autocast(trust.device.type, enabled=False):
             factor = demodulator(inputs)
-            logits = [level.float() for level in levels]
-            full = [functional.pixel_shuffle(logits[0], 2), *logits[1:]]
-            clean = gather_pyramid(functional.pixel_shuffle(trust.float(), 2), full, inputs["radiance"] / factor)
-            return clean * factor, logits, paths
+            logits = [exact(part) for part in predicted]
+            return self.reconstruct(trust, logits, inputs["radiance"] / factor) * factor, logits, paths
+
+    @staticmethod
+    def reconstruct(trust: Tensor, logits: list[Tensor], radiance: Tensor) -> Tensor:
+        """What `forward` predicted, applied to radiance as it is filtered."""
+        fine, half = torch.split(logits[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
+        levels = [functional.pixel_shuffle(fine, 2), half, *logits[1:]]
+        return gather_pyramid(functional.pixel_shuffle(trust, 2), levels, radiance)
 
 
 def demodulator(inputs: dict[str, Tensor]) -> Tensor:
@@ -146,6 +158,11 @@ def embedding_moments(paths: Tensor, valid: Tensor, counts: list[int] | None) ->
     # the epsilon keeps the root's slope, and with it rounding errors of the difference, bounded
     deviation = torch.sqrt(torch.relu(square - mean.square()) + 1e-4) - 1e-2
     return torch.cat([mean, deviation], 1)
+
+
+def exact(x: Tensor) -> Tensor:
+    """float32 of what autocast left in half precision; double stays."""
+    return x if x.dtype == torch.float64 else x.float()
 
 
 def aligned(x: Tensor) -> Tensor:

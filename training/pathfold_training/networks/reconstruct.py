@@ -93,7 +93,8 @@ def gather_pyramid(trust: Tensor, levels: list[Tensor], radiance: Tensor) -> Ten
 
 
 def bounded_exp(logits: Tensor) -> Tensor:
-    return torch.exp(torch.clamp(logits, -LOGIT_LIMIT, LOGIT_LIMIT))
+    # the constant cancels; it keeps sums of the largest radiance finite
+    return torch.exp(torch.clamp(logits, -LOGIT_LIMIT, LOGIT_LIMIT) - 0.5 * LOGIT_LIMIT)
 
 
 def normalised(sums: Tensor) -> tuple[Tensor, Tensor]:
