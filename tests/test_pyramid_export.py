@@ -1,0 +1,171 @@
+"""A pathfold checkpoint becomes a model folder; torch and the SDK agree on it, tiles and layers included."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from pathfold.denoising import Denoiser
+from pathfold_training.config import Config, Data, Optimiser, Pyramid
+from pathfold_training.data import Batch
+from pathfold_training.export import export, load_task
+from pathfold_training.fit import fit
+from pathfold_training.networks.pathfold import OPTIONAL
+from pathfold_training.task import Denoising
+from training_data import write_data_set
+
+TOLERANCES = tomllib.loads((Path(__file__).parent / "tolerances.toml").read_text())
+CONFIG = Config(
+    name="tiny-pathfold",
+    description="a network for tests",
+    network=Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4),
+    data=Data(crop=32, batch=1, spp_max=4, drop_paths=0.5),
+    optimiser=Optimiser(steps=2, average=0.5),
+)
+Buffers = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Denoising]:
+    """A trained checkpoint whose heads, close to zero after two steps, are made random."""
+    folder = tmp_path_factory.mktemp("export")
+    checkpoint = fit(CONFIG, write_data_set(folder / "data"), folder / "run", validate_every=1000, threads=1)
+    state = torch.load(checkpoint, weights_only=True)
+    g = torch.Generator().manual_seed(0)
+    for name, value in state["state_dict"].items():
+        if "heads" in name or "trust.weight" in name:
+            value += 0.3 * torch.randn(value.shape, generator=g)
+    torch.save(state, checkpoint)
+    record = json.loads((folder / "run" / "record.json").read_text())
+    return export(checkpoint, folder / "model", record), load_task(checkpoint)[0]
+
+
+def frame(height: int, width: int, samples: int, seed: int) -> Buffers:
+    """Heavy-tailed radiance and guides in host layout."""
+    rng = np.random.default_rng(seed)
+    shape = (height, width, 3)
+    buffers = {"color": rng.exponential(0.5, shape) ** 3, "albedo": rng.uniform(0, 1, shape)}
+    buffers |= {"normal": rng.uniform(-1, 1, shape), "depth": rng.uniform(0.5, 50, (height, width, 1))}
+    buffers["variance"] = rng.exponential(0.1, shape)
+    logs = rng.normal(-2, 6, (samples, height, width, 24))
+    logs[rng.random(logs.shape) < 0.3] = -100
+    tags = rng.choice([0, 5, 9, 17, 6, 10, 18, 3], (samples, height, width, 6))
+    roughness = rng.uniform(0, 1, (samples, height, width, 6))
+    buffers["samples.descriptor"] = np.concatenate([logs, tags, roughness], -1)
+    return {name: value.astype(np.float32) for name, value in buffers.items()}
+
+
+def adversarial(buffers: Buffers, case: str) -> Buffers:
+    buffers = {name: value.copy() for name, value in buffers.items()}
+    if case == "firefly":
+        buffers["color"][3, 4] += 1e7
+        buffers["variance"][3, 4] = 1e13
+    elif case == "dark":
+        buffers["color"] *= 1e-6
+        buffers["variance"] *= 1e-12
+    elif case == "black albedo":
+        buffers["albedo"][:] = 0.0
+    elif case == "dead paths":
+        buffers["samples.descriptor"][..., :24] = -100.0
+    elif case == "color alone":
+        buffers = {"color": buffers["color"]}
+    elif case == "no albedo":
+        del buffers["albedo"]
+    elif case == "no paths":
+        del buffers["samples.descriptor"]
+    return buffers
+
+
+def torch_frame(task: Denoising, buffers: Buffers, exposure: float) -> np.ndarray:
+    """The chain in torch: the training code's own denoise on the same buffers, absent ones as training has them."""
+    height, width = buffers["color"].shape[:2]
+    channels = {"color": 3, "variance": 3, "albedo": 3, "normal": 3, "depth": 1}
+    inputs = {
+        n: torch.from_numpy(buffers[n]).permute(2, 0, 1)[None] if n in buffers else torch.zeros(1, c, height, width)
+        for n, c in channels.items()
+    }
+    paths = "samples.descriptor" in buffers
+    descriptor = torch.from_numpy(buffers["samples.descriptor"]) if paths else torch.zeros(1, height, width, 36)
+    inputs["samples.descriptor"] = descriptor.permute(0, 3, 1, 2)
+    inputs["samples.valid"] = torch.full((descriptor.shape[0], 1, height, width), float(paths))
+    given = set(buffers) | ({"paths"} if paths else set())
+    inputs |= {f"{name}.present": torch.tensor([float(name in given)]) for name in OPTIONAL}
+    inputs["exposure"] = torch.tensor([exposure])
+    scale = torch.exp(-torch.log(inputs["depth"].double()).mean()).float() if "depth" in buffers else torch.ones(())
+    inputs["depth_scale"] = scale.reshape(1)
+    with torch.no_grad():
+        return task.denoise(Batch(inputs, {}, [descriptor.shape[0]]))[0].permute(1, 2, 0).numpy()
+
+
+def relative(a: np.ndarray, b: np.ndarray) -> float:
+    return float((np.abs(a - b) / np.maximum(np.abs(b), 1e-3 * np.abs(b).max() + 1e-30)).max())
+
+
+CASES = ["plain", "firefly", "dark", "black albedo", "dead paths", "color alone", "no albedo", "no paths"]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_sdk_equals_torch(exported: tuple[Path, Denoising], case: str) -> None:
+    folder, task = exported
+    buffers = adversarial(frame(37, 50, 3, seed=1), case)
+    result = Denoiser(folder).run_buffers(buffers, exposure=0.8)
+    assert relative(result.color, torch_frame(task, buffers, 0.8)) < TOLERANCES["parity_chain"]["value"]
+
+
+@pytest.mark.parametrize(("height", "width", "samples"), [(1, 1, 2), (1, 33, 2), (49, 16, 4)])
+def test_any_size(exported: tuple[Path, Denoising], height: int, width: int, samples: int) -> None:
+    folder, task = exported
+    buffers = frame(height, width, samples, seed=height)
+    result = Denoiser(folder).run_buffers(buffers, exposure=1.3)
+    assert relative(result.color, torch_frame(task, buffers, 1.3)) < TOLERANCES["parity_chain"]["value"]
+
+
+def test_tiles_make_no_difference(exported: tuple[Path, Denoising]) -> None:
+    folder, _ = exported
+    buffers = frame(330, 350, 1, seed=2)
+    whole = Denoiser(folder).run_buffers(buffers)
+    tiled = Denoiser(folder, tile=64).run_buffers(buffers)
+    assert tiled.report["tiles"] > whole.report["tiles"] == 1
+    assert relative(tiled.color, whole.color) < TOLERANCES["tiles"]["value"]
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_scaled_radiance_gives_the_scaled_picture(exported: tuple[Path, Denoising], scale: float) -> None:
+    folder, _ = exported
+    buffers = {n: v for n, v in frame(40, 40, 2, seed=3).items() if n != "samples.descriptor"}
+    scaled = buffers | {"color": buffers["color"] * np.float32(scale)}
+    scaled["variance"] = buffers["variance"] * np.float32(scale) ** 2
+    denoiser = Denoiser(folder)
+    expected = denoiser.run_buffers(buffers).color * scale
+    assert relative(denoiser.run_buffers(scaled).color, expected) < TOLERANCES["scale"]["value"]
+
+
+@pytest.mark.parametrize("albedo", [True, False])
+def test_layers_add_up_and_alpha_stays_in_range(exported: tuple[Path, Denoising], albedo: bool) -> None:
+    folder, _ = exported
+    rng = np.random.default_rng(4)
+    buffers = adversarial(frame(40, 70, 2, seed=4), "plain" if albedo else "no albedo")
+    key, fill = (buffers["color"] * f for f in (np.float32(0.75), np.float32(0.25)))
+    buffers["alpha"] = (rng.random((40, 70, 1)) < 0.5).astype(np.float32)
+    result = Denoiser(folder).run_buffers(buffers, layers={"key": {"color": key}, "fill": {"color": fill}})
+    assert relative(result.layers["key"] + result.layers["fill"], result.color) < 1e-5
+    assert result.alpha.min() >= 0
+    assert result.alpha.max() <= 1 + 1e-6
+
+
+def test_bad_pixels_are_rebuilt_from_their_neighbours(exported: tuple[Path, Denoising]) -> None:
+    folder, _ = exported
+    buffers = {"color": np.full((48, 48, 3), 3.0, np.float32)}
+    buffers["color"][10:16, 20:24] = np.nan
+    np.testing.assert_allclose(Denoiser(folder).run_buffers(buffers).color, 3.0, rtol=1e-5)
+
+
+def test_manifest_says_what_is_optional(exported: tuple[Path, Denoising]) -> None:
+    folder, _ = exported
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["requires"] == ["color"]
+    assert {"albedo", "samples.descriptor"} <= set(manifest["uses"])
+    assert manifest["tile"]["alignment"] == 16
+    assert "gather pyramid" in (folder / "README.md").read_text()
