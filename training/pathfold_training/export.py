@@ -47,7 +47,7 @@ class Graph(nn.Module):
         if isinstance(self.branch, Pathfold):
             trust, logits, _ = predicted
             return (trust, *logits)
-        return predicted.logits  # type: ignore[no-any-return]
+        return predicted.logits
 
 
 def with_trust_as_last_logit(branch: Branch) -> Branch:

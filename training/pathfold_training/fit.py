@@ -179,7 +179,8 @@ def folder_weights(folder: Path) -> dict[str, torch.Tensor]:
     for graph in manifest["graphs"]:
         for tensor in onnx.load(folder / f"{graph}.onnx").graph.initializer:
             if tensor.name.startswith("branch."):
-                name = tensor.name.replace("branch.", f"model.branches.{graph}.", 1)
+                whole = manifest["reconstruction"]["operator"] == "pyramid"
+                name = tensor.name.replace("branch.", "model." if whole else f"model.branches.{graph}.", 1)
                 weights[name] = torch.from_numpy(numpy_helper.to_array(tensor).copy())
     if manifest["reconstruction"].get("trust"):  # export made it the last row of the kernels' layer
         for name in [name for name in weights if ".kernels." in name]:

@@ -12,7 +12,7 @@ import torch
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor
 
-from .config import Config
+from .config import Config, Pyramid
 from .data import Batch, Inputs
 from .features import DEMODULATION_EPSILON
 from .losses import error_scale, logit_excess, manifold_loss, robust_relative, tone_map
@@ -63,33 +63,35 @@ class Denoising(lightning.LightningModule):
         super().__init__()
         self.config = config
         self.save_hyperparameters({"config": config.model_dump()})
-        self.model = Pathfold(config.network) if config.network.family == "pathfold" else Kpcn(config.network)
+        self.model = Pathfold(config.network) if isinstance(config.network, Pyramid) else Kpcn(config.network)
         self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.generator = torch.Generator()
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
         # pairs and lattice phase depend on the global step alone, so that a resumed run repeats them
         self.generator.manual_seed(self.global_step)
-        return self.pyramid_loss(batch) if isinstance(self.model, Pathfold) else self.kpcn_loss(batch)
+        if isinstance(self.model, Pathfold):
+            return self.pyramid_loss(self.model, batch)
+        return self.kpcn_loss(self.model, batch)
 
-    def kpcn_loss(self, batch: Batch) -> Tensor:
+    def kpcn_loss(self, model: Kpcn, batch: Batch) -> Tensor:
         lattice = self.config.optimiser.lattice
         phase = torch.randint(lattice, (2,), generator=self.generator)
         offset = (int(phase[0]), int(phase[1]))
         reference = batch.reference["color"] * batch.inputs["exposure"].reshape(-1, 1, 1, 1)
         scale = on_lattice(error_scale(reference), lattice, offset)
         image, terms, excess, manifold = torch.zeros_like(scale), [], [], []
-        if self.config.network.embedding:
+        if model.network.embedding:
             batch.inputs["samples.features"] = path_features(batch.inputs, batch.counts).to(
                 memory_format=torch.channels_last
             )
-        for name, branch in self.model.branches.items():
+        for name in model.branches:
             target = branch_target(batch.inputs, batch.reference, name)
-            predicted = branch(branch_inputs(batch.inputs, name), batch.counts, lattice, offset)
+            predicted = model.branch(name)(branch_inputs(batch.inputs, name), batch.counts, lattice, offset)
             with torch.autocast(self.device.type, enabled=False):
                 logits = predicted.logits.float()
                 trust = None if predicted.trust is None else predicted.trust.float()
-                filtered = gather(logits, target.radiance, self.config.network.kernel_size, lattice, offset, trust)
+                filtered = gather(logits, target.radiance, model.network.kernel_size, lattice, offset, trust)
                 filtered = filtered * on_lattice(target.remodulate, lattice, offset)
                 excess.append(logit_excess(logits) if trust is None else logit_excess(logits) + logit_excess(trust))
                 terms.append(robust_relative(filtered, on_lattice(target.reference, lattice, offset), scale))
@@ -114,9 +116,9 @@ class Denoising(lightning.LightningModule):
         self.log("image", error, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         return loss
 
-    def pyramid_loss(self, batch: Batch) -> Tensor:
+    def pyramid_loss(self, model: Pathfold, batch: Batch) -> Tensor:
         inputs, exposure = batch.inputs | {"radiance": batch.inputs["color"]}, batch.inputs["exposure"]
-        image, logits, paths = self.model.filter(inputs, batch.counts)
+        image, logits, paths = model.filter(inputs, batch.counts)
         reference = batch.reference["color"] * exposure.reshape(-1, 1, 1, 1)
         error = robust_relative(image * exposure.reshape(-1, 1, 1, 1), reference, error_scale(reference))
         loss = error + self.config.loss.logits * sum(logit_excess(level) for level in logits)
@@ -152,10 +154,10 @@ class Denoising(lightning.LightningModule):
             return self.model.filter(batch.inputs | {"radiance": batch.inputs["color"]}, batch.counts)[0]
         image = torch.zeros_like(batch.inputs["color"])
         exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
-        for name, branch in self.model.branches.items():
+        for name in self.model.branches:
             target = branch_target(batch.inputs, batch.reference, name)
-            predicted = branch(branch_inputs(batch.inputs, name), batch.counts)
-            size = self.config.network.kernel_size
+            predicted = self.model.branch(name)(branch_inputs(batch.inputs, name), batch.counts)
+            size = self.model.network.kernel_size
             filtered = gather(predicted.logits.float(), target.radiance, size, trust=predicted.trust)
             image = image + filtered * target.remodulate
         return image / exposure

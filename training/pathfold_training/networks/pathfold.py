@@ -63,8 +63,8 @@ class Pathfold(nn.Module):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 module.bias.data.zero_()  # type: ignore[union-attr]
         for head in (self.trust, *self.heads, self.presence):  # start from uniform kernels
-            head.weight.data.zero_()  # type: ignore[union-attr,operator]
-            head.bias.data.zero_()  # type: ignore[union-attr,operator]
+            head.weight.data.zero_()
+            head.bias.data.zero_()
         self.trust.bias.data.fill_(TRUST_START)  # type: ignore[union-attr]
 
     def input_names(self) -> list[str]:

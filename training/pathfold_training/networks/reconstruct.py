@@ -106,14 +106,14 @@ def normalised(sums: Tensor) -> tuple[Tensor, Tensor]:
 
 def weigh_taps(weights: Tensor, source: Tensor, taps: list[tuple[int, int]], radius: int) -> Tensor:
     """sum_t weights[:, t] * source shifted by taps[t] - radius: B x T x h x w, B x C x h x w -> B x C x h x w."""
-    return _WeighTaps.apply(weights, functional.pad(source, (radius,) * 4), taps)  # type: ignore[no-any-return]
+    return _WeighTaps.apply(weights, functional.pad(source, (radius,) * 4), taps)
 
 
 class _WeighTaps(torch.autograd.Function):
     """By hand, so that the shifted products of a tap are never kept (tested with gradcheck)."""
 
     @staticmethod
-    def forward(ctx: FunctionCtx, weights: Tensor, source: Tensor, taps: list[tuple[int, int]]) -> Tensor:  # type: ignore[override]
+    def forward(ctx: FunctionCtx, weights: Tensor, source: Tensor, taps: list[tuple[int, int]]) -> Tensor:
         ctx.save_for_backward(weights, source)
         ctx.taps = taps  # type: ignore[attr-defined]
         height, width = weights.shape[-2:]
@@ -123,7 +123,7 @@ class _WeighTaps(torch.autograd.Function):
         return out
 
     @staticmethod
-    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[Tensor, Tensor, None]:  # type: ignore[override]
+    def backward(ctx: FunctionCtx, gradient: Tensor) -> tuple[Tensor, Tensor, None]:
         weights, source = ctx.saved_tensors  # type: ignore[attr-defined]
         height, width = weights.shape[-2:]
         of_weights, of_source = torch.empty_like(weights), torch.zeros_like(source)
