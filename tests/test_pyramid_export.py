@@ -11,7 +11,7 @@ from pathfold.denoising import Denoiser
 from pathfold_training.config import Config, Data, Optimiser, Pyramid
 from pathfold_training.data import Batch
 from pathfold_training.export import export, load_task
-from pathfold_training.fit import fit, folder_weights, plain_weights
+from pathfold_training.fit import fit, folder_weights
 from pathfold_training.networks.pathfold import OPTIONAL
 from pathfold_training.task import Denoising
 from training_data import write_data_set
@@ -171,9 +171,6 @@ def test_manifest_says_what_is_optional(exported: tuple[Path, Denoising]) -> Non
     assert "gather pyramid" in (folder / "README.md").read_text()
 
 
-def test_folder_holds_the_weights_to_start_from(exported: tuple[Path, Denoising]) -> None:
-    folder, task = exported
-    weights, own = folder_weights(folder), plain_weights(task)
-    assert set(weights) == set(own)
-    for name, value in own.items():
-        torch.testing.assert_close(weights[name], value, rtol=0, atol=0, msg=name)
+def test_a_folder_is_no_place_to_start_from(exported: tuple[Path, Denoising]) -> None:
+    with pytest.raises(ValueError, match=r"last\.ckpt"):
+        folder_weights(exported[0])

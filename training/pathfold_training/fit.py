@@ -176,11 +176,12 @@ def folder_weights(folder: Path) -> dict[str, torch.Tensor]:
     """The weights in a model folder's graphs: their initialisers keep the modules' names."""
     weights = {}
     manifest = json.loads((folder / "manifest.json").read_text())
+    if manifest["reconstruction"]["operator"] != "gather":  # the exporter merges weights that are equal
+        raise ValueError(f"{folder}: only KPCN's weights can be read back from a model folder; give a run's last.ckpt")
     for graph in manifest["graphs"]:
         for tensor in onnx.load(folder / f"{graph}.onnx").graph.initializer:
             if tensor.name.startswith("branch."):
-                whole = manifest["reconstruction"]["operator"] == "pyramid"
-                name = tensor.name.replace("branch.", "model." if whole else f"model.branches.{graph}.", 1)
+                name = tensor.name.replace("branch.", f"model.branches.{graph}.", 1)
                 weights[name] = torch.from_numpy(numpy_helper.to_array(tensor).copy())
     if manifest["reconstruction"].get("trust"):  # export made it the last row of the kernels' layer
         for name in [name for name in weights if ".kernels." in name]:
