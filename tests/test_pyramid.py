@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from pathfold_training.config import Config, Data, Loss, Optimiser, Pyramid, load_preset
-from pathfold_training.data import Crops
+from pathfold_training.data import Crops, Stored
 from pathfold_training.fit import fit
 from pathfold_training.networks.pathfold import Pathfold, embedding_moments, macs_per_pixel, overlap
 from pathfold_training.networks.reconstruct import _WeighTaps, gather_pyramid
@@ -217,7 +217,7 @@ def test_presets_keep_their_budget(name: str, low: float, high: float) -> None:
 
 def test_absent_paths_are_one_invalid_sample(tmp_path) -> None:  # type: ignore[no-untyped-def]
     data = write_data_set(tmp_path / "data")
-    batch = next(iter(Crops(data, TINY.data.model_copy(update={"drop_paths": 1.0}), seed=0, paths=True)))
+    batch = next(iter(Crops(Stored(data), TINY.data.model_copy(update={"drop_paths": 1.0}), seed=0, paths=True)))
     assert batch.counts == [1, 1]
     assert batch.inputs["paths.present"].tolist() == [0.0, 0.0]
     assert batch.inputs["samples.valid"].abs().max() == 0.0
@@ -237,11 +237,11 @@ def test_training_moves_everything_and_resumes_exactly(tmp_path, monkeypatch) ->
 
     original, calls = Crops.draw, [0]
 
-    def stops(self: Crops, rng: np.random.Generator) -> object:
+    def stops(self: Crops, *arguments: object) -> object:
         calls[0] += 1
         if calls[0] > 2 * TINY.data.batch + 1:
             raise InterruptError
-        return original(self, rng)
+        return original(self, *arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Crops, "draw", stops)
     with pytest.raises(InterruptError):

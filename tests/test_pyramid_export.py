@@ -1,12 +1,12 @@
 """A pathfold checkpoint becomes a model folder; torch and the SDK agree on it, tiles and layers included."""
 
 import json
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from pathfold.check.measure import relative_error, tolerance
 from pathfold.denoising import Denoiser
 from pathfold_training.config import Config, Data, Optimiser, Pyramid
 from pathfold_training.data import Batch
@@ -16,7 +16,6 @@ from pathfold_training.networks.pathfold import OPTIONAL
 from pathfold_training.task import Denoising
 from training_data import write_data_set
 
-TOLERANCES = tomllib.loads((Path(__file__).parent / "tolerances.toml").read_text())
 CONFIG = Config(
     name="tiny-pathfold",
     description="a network for tests",
@@ -99,10 +98,6 @@ def torch_frame(task: Denoising, buffers: Buffers, exposure: float) -> np.ndarra
         return task.denoise(Batch(inputs, {}, [descriptor.shape[0]]))[0].permute(1, 2, 0).numpy()
 
 
-def relative(a: np.ndarray, b: np.ndarray) -> float:
-    return float((np.abs(a - b) / np.maximum(np.abs(b), 1e-3 * np.abs(b).max() + 1e-30)).max())
-
-
 CASES = ["plain", "firefly", "dark", "black albedo", "dead paths", "color alone", "no albedo", "no paths"]
 
 
@@ -111,7 +106,7 @@ def test_sdk_equals_torch(exported: tuple[Path, Denoising], case: str) -> None:
     folder, task = exported
     buffers = adversarial(frame(37, 50, 3, seed=1), case)
     result = Denoiser(folder).run_buffers(buffers, exposure=0.8)
-    assert relative(result.color, torch_frame(task, buffers, 0.8)) < TOLERANCES["parity_chain"]["value"]
+    assert relative_error(result.color, torch_frame(task, buffers, 0.8))[0] < tolerance("chain.fp32")
 
 
 @pytest.mark.parametrize(("height", "width", "samples"), [(1, 1, 2), (1, 33, 2), (49, 16, 4)])
@@ -119,7 +114,7 @@ def test_any_size(exported: tuple[Path, Denoising], height: int, width: int, sam
     folder, task = exported
     buffers = frame(height, width, samples, seed=height)
     result = Denoiser(folder).run_buffers(buffers, exposure=1.3)
-    assert relative(result.color, torch_frame(task, buffers, 1.3)) < TOLERANCES["parity_chain"]["value"]
+    assert relative_error(result.color, torch_frame(task, buffers, 1.3))[0] < tolerance("chain.fp32")
 
 
 def test_tiles_make_no_difference(exported: tuple[Path, Denoising]) -> None:
@@ -128,7 +123,7 @@ def test_tiles_make_no_difference(exported: tuple[Path, Denoising]) -> None:
     whole = Denoiser(folder).run_buffers(buffers)
     tiled = Denoiser(folder, tile=64).run_buffers(buffers)
     assert tiled.report["tiles"] > whole.report["tiles"] == 1
-    assert relative(tiled.color, whole.color) < TOLERANCES["tiles"]["value"]
+    assert relative_error(tiled.color, whole.color)[0] < tolerance("tiles")
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
@@ -139,7 +134,7 @@ def test_scaled_radiance_gives_the_scaled_picture(exported: tuple[Path, Denoisin
     scaled["variance"] = buffers["variance"] * np.float32(scale) ** 2
     denoiser = Denoiser(folder)
     expected = denoiser.run_buffers(buffers).color * scale
-    assert relative(denoiser.run_buffers(scaled).color, expected) < TOLERANCES["scale"]["value"]
+    assert relative_error(denoiser.run_buffers(scaled).color, expected)[0] < tolerance("scale")
 
 
 @pytest.mark.parametrize("albedo", [True, False])
@@ -150,7 +145,7 @@ def test_layers_add_up_and_alpha_stays_in_range(exported: tuple[Path, Denoising]
     key, fill = (buffers["color"] * f for f in (np.float32(0.75), np.float32(0.25)))
     buffers["alpha"] = (rng.random((40, 70, 1)) < 0.5).astype(np.float32)
     result = Denoiser(folder).run_buffers(buffers, layers={"key": {"color": key}, "fill": {"color": fill}})
-    assert relative(result.layers["key"] + result.layers["fill"], result.color) < 1e-5
+    assert relative_error(result.layers["key"] + result.layers["fill"], result.color)[0] < 1e-5
     assert result.alpha.min() >= 0
     assert result.alpha.max() <= 1 + 1e-6
 

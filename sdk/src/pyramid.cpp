@@ -89,8 +89,8 @@ void HalveRow(const Pyramid::Level &fine, Pyramid::Level &coarse, int planes, in
     }
 }
 
-/// Brings a block's logits together and makes weights of them, and of the last one the share of the coarser
-/// level.
+/// Brings a block's logits together and makes weights of them, and of the last one the coarser level's weight
+/// where the own one's is 1: of a share a, 1 - a would lose most of its digits where it is small.
 void FetchWeights(const PyramidRow &row, size_t x, int count, float *weights) {
     const D d;
     const size_t lanes = hn::Lanes(d);
@@ -104,13 +104,11 @@ void FetchWeights(const PyramidRow &row, size_t x, int count, float *weights) {
                 const float *even = from + (x + i) / 2;
                 hn::StoreInterleaved2(hn::LoadU(d, even), hn::LoadU(d, even + row.phase_stride), d, to + i);
             }
-        const auto most = hn::Set(d, logit_limit), least = hn::Set(d, -logit_limit), one = hn::Set(d, 1.0f);
+        const auto most = hn::Set(d, logit_limit), least = hn::Set(d, -logit_limit);
+        const auto shift = hn::Set(d, c == blend_logit ? 0.0f : logit_shift);
         for (size_t i = 0; i < pyramid_block; i += lanes) {
             const auto logit = hn::Clamp(hn::LoadU(d, to + i), least, most);
-            if (c == blend_logit)
-                hn::StoreU(hn::Div(one, hn::Add(one, hn::Exp(d, hn::Neg(logit)))), d, to + i);
-            else
-                hn::StoreU(hn::Exp(d, hn::Add(logit, hn::Set(d, logit_shift))), d, to + i);
+            hn::StoreU(hn::Exp(d, hn::Add(logit, shift)), d, to + i);
         }
     }
 }
@@ -175,11 +173,11 @@ void Blend(const PyramidRow &row, const PyramidScratch &scratch, size_t x, size_
     auto of_own = one, of_coarse = zero, coarse_weight = one;
     auto known = own_known;
     if (row.coarser != nullptr) {
-        const auto share = hn::LoadU(d, scratch.weights.data() + blend_logit * pyramid_block + i);
+        const auto odds = hn::LoadU(d, scratch.weights.data() + blend_logit * pyramid_block + i);
         coarse_weight = hn::LoadU(d, scratch.coarse.data() + weight_row);
         const auto coarse_known = hn::Gt(coarse_weight, zero);
-        of_own = hn::IfThenElseZero(own_known, hn::Sub(one, share));
-        of_coarse = hn::IfThenElseZero(coarse_known, share);
+        of_own = hn::IfThenElseZero(own_known, one);
+        of_coarse = hn::IfThenElseZero(coarse_known, odds);
         const auto total = hn::Add(of_own, of_coarse);
         of_own = hn::Div(of_own, total);
         of_coarse = hn::IfThenElseZero(coarse_known, hn::Div(of_coarse, hn::Mul(total, coarse_weight)));

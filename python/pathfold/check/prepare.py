@@ -49,7 +49,8 @@ class Prepared:
 def prepare(buffers: Buffers, manifest: dict[str, Any]) -> Prepared:
     """Sanitise a frame, take its statistics and make the inputs of each graph that the frame needs."""
     with np.errstate(invalid="ignore"):  # a signalling NaN complains
-        double = {name: values.astype(np.float64) for name, values in buffers.items()}
+        given = {n: v for n, v in buffers.items() if not n.startswith("samples.") or reads(manifest, n)}
+        double = {name: values.astype(np.float64) for name, values in given.items()}
     branches = active_branches(double, manifest)
     split = len(branches) == len(manifest["reconstruction"]["branches"]) and branches[0]["radiance"] != "color"
     names = [branch["radiance"] for branch in branches]

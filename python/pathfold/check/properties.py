@@ -31,7 +31,7 @@ class Subject:
     folder: Path
     provider: str
 
-    def denoiser(self, **settings: int) -> Denoiser:
+    def denoiser(self, **settings: Any) -> Denoiser:
         return Denoiser(self.folder, provider=self.provider, **settings)
 
     @cached_property
@@ -89,7 +89,7 @@ def constants(subject: Subject, row: Row) -> None:
         frame = cases.frame()
         for name in ("diffuse", "specular"):
             frame[name][:] = value
-        frame["diffuse.albedo"][:] = 0.3
+        frame["diffuse.albedo"][:] = frame["albedo"][:] = 0.3  # constant before remodulation too
         frame = cases.with_color(frame)
         for name in RADIANCE:
             frame[name][4:6, 7] = math.nan

@@ -85,10 +85,9 @@ def gather_pyramid(trust: Tensor, levels: list[Tensor], radiance: Tensor) -> Ten
         own, own_known = normalised(weigh_taps(bounded_exp(kernel), source, KERNEL_TAPS, 2))
         below = torch.cat([result, known], 1).repeat_interleave(2, -1).repeat_interleave(2, -2)
         coarse, coarse_known = normalised(weigh_taps(bounded_exp(upsampling), below, UPSAMPLING_TAPS, 1))
-        share = torch.sigmoid(torch.clamp(blend, -LOGIT_LIMIT, LOGIT_LIMIT))
-        fine = (1.0 - share) * own_known
-        share = share * coarse_known
-        result, known = normalised(torch.cat([fine * own + share * coarse, fine + share], 1))
+        # the odds a / (1 - a): in 1 - a itself a small share would lose most of its digits
+        odds = torch.exp(torch.clamp(blend, -LOGIT_LIMIT, LOGIT_LIMIT)) * coarse_known
+        result, known = normalised(torch.cat([own_known * own + odds * coarse, own_known + odds], 1))
     return result[:, :, :height, :width]
 
 
