@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from pathfold_training.data import View, open_split
+from pathfold_training.data import Stored, View
 from pathfold_training.losses import error_scale, robust_relative
 from pathfold_training.networks.pathfold import ALBEDO_EPSILON
 from pathfold_training.networks.reconstruct import COARSEST_LOGITS, LEVEL_LOGITS, gather, gather_pyramid
@@ -82,9 +82,10 @@ def main() -> None:
         "3 levels": (lambda: pyramid(size, 3, True), True),
         "one 11x11 kernel": (lambda: single_kernel(size, 11), True),
     }
-    store, lines = open_split(options.data, "train")
-    usable = [line for line in lines if line["spp"] >= SEEDS * SPP and min(line["width"], line["height"]) >= size]
-    crops = [noisy_crop(View(store, line), size, seed) for seed, line in enumerate(usable[: options.views])]
+    usable = [view for view in Stored(options.data).train if view.samples >= SEEDS * SPP and view.side >= size]
+    if not usable:
+        raise SystemExit(f"{options.data} has no view with {SEEDS * SPP} samples in {size}x{size} pixels")
+    crops = [noisy_crop(view, size, seed) for seed, view in enumerate(usable[: options.views])]
     print(f"{len(crops)} crops of {size}x{size}, {SPP} spp, {options.steps} steps\n")
     print("| operator | " + " | ".join(f"crop {i}" for i in range(len(crops))) + " | geometric mean |")
     print("|---" * (len(crops) + 2) + "|")
