@@ -135,7 +135,7 @@ def test_several_changes_are_judged_alike(good: Json, folder: Path, data: st.Dat
         parent = variant
         for key in path[:-1]:
             parent = parent[key]
-        parent[path[-1]] = data.draw(VALUES)
+        parent[path[-1]] = copy.deepcopy(data.draw(VALUES))  # later changes may go into it
     judge(folder, variant, json.dumps(variant))
 
 
