@@ -68,7 +68,7 @@ class Optimiser(Strict):
     warmup: int = 100
     final_fraction: float = 0.01  # of the learning rate, at the end of the cosine
     clip: float = 1.0  # gradient norm
-    precision: Literal["auto", "fp32", "bf16"] = "auto"  # bf16 on a GPU, fp32 on a CPU: bf16 is slower on one without AMX
+    precision: Literal["auto", "fp32", "bf16"] = "auto"  # bf16 on a GPU; fp32 on a CPU, faster there without AMX
     lattice: int = 3  # KPCN's kernels are predicted on every n-th pixel in both directions while training
     average: float = 0.0  # decay of the exponential moving average of the weights that is kept; 0 keeps the last ones
 
