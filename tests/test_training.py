@@ -80,7 +80,7 @@ def test_start_from_copies_the_shared_weights(data_set: Path, tmp_path: Path) ->
     extra = begun[first].shape[1] - shared[first].shape[1]
     assert extra == 1 + TINY.network.embedding + 1
     torch.testing.assert_close(begun[first][:, :-extra], shared[first])
-    assert begun[first][:, -extra:].abs().max() == 0.0
+    assert begun[first][:, -extra:].std() > 0.5 * shared[first].std()  # not zero: R is to read F from the start
     record = start_record(base)
     assert record is not None
     assert record["preset"] == "base"

@@ -46,7 +46,9 @@ class Loss(Strict):
 
     branch: float = 0.5  # per-branch terms beside the recombined image
     logits: float = 1.0e-4  # excess of |logit| over 10
-    manifold: float = 0.0  # lambda of the slides' formula; 0.0125 is the paper's 0.1 (DESIGN: code is 1/8 of it)
+    manifold: float = (
+        0.0  # lambda of the slides' formula; the paper's 0.1 is 0.0125 here (its code is 1/8 of the formula)
+    )
     manifold_pairs: int = 16384  # local and non-local pairs drawn per image, each
 
 

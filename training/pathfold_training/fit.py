@@ -134,15 +134,16 @@ def uses_bf16(precision: str) -> bool:
 
 
 def warm_start(task: Denoising, source: Path) -> None:
-    """Copy the weights of a checkpoint or model folder; input channels that only the new network has start at zero."""
+    """Copy the weights of a checkpoint or model folder; what only the new network has keeps its own first values.
+
+    That holds for R's input channels too: begun at zero they stay small for thousands of steps, and R does not read F.
+    """
     merged = {name: value.clone() for name, value in plain_weights(task).items()}
     for name, value in folder_weights(source).items() if source.is_dir() else checkpoint_weights(source).items():
         name = re.sub(r"^(model\.branches\.\w+)\.head\.", r"\1.kernels.", name)  # as the first models have it
         new = merged.get(name)
         if new is None or new.shape[:1] + new.shape[2:] != value.shape[:1] + value.shape[2:]:
             raise ValueError(f"{source}: its weight {name} does not fit preset '{task.config.name}'")
-        if value.dim() > 1:
-            new.zero_()
         new[tuple(slice(n) for n in value.shape)] = value
     for name, value in merged.items():
         owner, _, attribute = name.rpartition(".")

@@ -12,6 +12,12 @@ from torch.nn.utils.parametrizations import weight_norm
 from ..features import DESCRIPTOR_CHANNELS
 
 ALIGNMENT = 4  # two 2x2 poolings
+# mean and deviation of F's inputs over generated and library views: undivided radiance, photon energy, attenuations;
+# tags and roughness by vertex. Unscaled, most inputs vary by 0.2 and F learns slowly
+INPUT_MEAN = (
+    [-0.21] * 3 + [-0.6] * 3 + [-0.28] * 18 + [0.33, 0.19, 0.16, 0.13, 0.12, 0.05, 0.74, 0.47, 0.39, 0.34, 0.31, 0.14]
+)
+INPUT_DEVIATION = [0.23] * 3 + [1.0] * 3 + [0.2] * 18 + [0.2] * 6 + [0.45] * 6
 RADIUS = (
     40  # pixels: convolutions reach 30, pooling and upsampling add up to 9 (paper notes 3), rounded to the alignment
 )
@@ -64,8 +70,13 @@ class PathEmbedding(nn.Module):
     softplus here: with C = 3 a channel that dies takes a third of the embedding with it.
     """
 
+    mean: Tensor
+    deviation: Tensor
+
     def __init__(self, channels: int, width: int) -> None:
         super().__init__()
+        self.register_buffer("mean", torch.tensor(INPUT_MEAN).reshape(1, -1, 1, 1), persistent=False)
+        self.register_buffer("deviation", torch.tensor(INPUT_DEVIATION).reshape(1, -1, 1, 1), persistent=False)
         self.sample = nn.Sequential(stack(DESCRIPTOR_CHANNELS, width, width, kernel=1), convolution(width, width, 1))
         self.context = Context(width)
         # the head's first layer sees [sample, context]; as two layers, the context's half is computed once per pixel
@@ -74,7 +85,7 @@ class PathEmbedding(nn.Module):
         self.head = convolution(2 * width, channels, 1)
 
     def forward(self, features: Tensor, valid: Tensor, counts: list[int] | None = None) -> Tensor:
-        sample = self.sample(features)
+        sample = self.sample((features - self.mean) / self.deviation)
         context = self.head_context(self.context(sample_mean(sample, valid, counts)))
         hidden = torch.relu(self.head_sample(sample) + per_sample(context, counts))
         embedding = self.head(hidden)
