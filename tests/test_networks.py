@@ -7,7 +7,7 @@ import pytest
 import torch
 from pathfold_training.config import Network, load_preset, preset_names
 from pathfold_training.features import OPTIONAL
-from pathfold_training.losses import manifold_loss, robust_relative, tone_map
+from pathfold_training.losses import manifold_loss, robust_relative, tone_map, unbiased_relative
 from pathfold_training.networks.embedding import PathEmbedding, pixel_embedding
 from pathfold_training.networks.kpcn import Branch, Kpcn, macs_per_pixel, overlap
 from pathfold_training.networks.reconstruct import gather
@@ -172,3 +172,19 @@ def test_robust_relative() -> None:
     reference = torch.zeros(1, 3, 1, 2)
     output = torch.tensor([1.0, 6.0]).expand(1, 3, 1, 2)
     assert float(robust_relative(output, reference, scale)) == pytest.approx((0.25 + 4 + 8 * np.log(1.5)) / 2)
+
+
+def test_the_unbiased_loss_pulls_towards_the_mean_of_noisy_references() -> None:
+    reference = torch.full((400, 1, 1, 1), 0.1)
+    reference[:20] = 18.1  # one hit in twenty: mean 1, median 0.1
+    slope = {}
+    for mean in (0.9, 1.0, 1.1):
+        output = torch.full_like(reference, mean, requires_grad=True)
+        unbiased_relative(output, reference).backward()
+        slope[mean] = float(output.grad.sum())
+    assert slope[0.9] < -1e-3
+    assert slope[1.0] == pytest.approx(0, abs=1e-5)
+    assert slope[1.1] > 1e-3
+    output = torch.full_like(reference, 1.0, requires_grad=True)
+    robust_relative(output, reference, torch.ones_like(reference)).backward()
+    assert float(output.grad.sum()) > 0.1  # the robust one would darken it

@@ -35,6 +35,15 @@ def robust_relative(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
     return torch.where(d < 2.0, d.square(), 4.0 + 8.0 * torch.log(torch.clamp(d, min=2.0) / 2.0)).mean()
 
 
+def unbiased_relative(output: Tensor, reference: Tensor) -> Tensor:
+    """Mean of ((x - r) / sqrt(x^2 + eps))^2 with the x below held fixed, exposed radiance (Noise2Noise's HDR loss).
+
+    Its minimum is the true mean however noisy the reference r is, which no other loss here has; the price is
+    heavy-tailed gradients, so clip their norm.
+    """
+    return ((output - reference).square() / (output.detach().square() + RELATIVE_EPSILON)).mean()
+
+
 def logit_excess(logits: Tensor) -> Tensor:
     """Mean over pixels of the summed squared excess of |logit| over 10, logits B x K*K x h x w.
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from .config import Config, Pyramid
 from .data import Batch, Inputs
 from .features import DEMODULATION_EPSILON
-from .losses import error_scale, logit_excess, manifold_loss, robust_relative, tone_map
+from .losses import error_scale, logit_excess, manifold_loss, robust_relative, tone_map, unbiased_relative
 from .networks.kpcn import Kpcn, path_features
 from .networks.pathfold import Pathfold
 from .networks.reconstruct import gather
@@ -94,7 +94,7 @@ class Denoising(lightning.LightningModule):
                 filtered = gather(logits, target.radiance, model.network.kernel_size, lattice, offset, trust)
                 filtered = filtered * on_lattice(target.remodulate, lattice, offset)
                 excess.append(logit_excess(logits) if trust is None else logit_excess(logits) + logit_excess(trust))
-                terms.append(robust_relative(filtered, on_lattice(target.reference, lattice, offset), scale))
+                terms.append(self.image_error(filtered, on_lattice(target.reference, lattice, offset), scale))
                 image = image + filtered
                 if predicted.paths is not None and self.config.loss.manifold > 0.0:
                     pairs = self.config.loss.manifold_pairs
@@ -108,7 +108,7 @@ class Denoising(lightning.LightningModule):
                             **self.sharing(),
                         )
                     )
-        error = robust_relative(image, on_lattice(reference, lattice, offset), scale)
+        error = self.image_error(image, on_lattice(reference, lattice, offset), scale)
         loss = error + self.config.loss.branch * sum(terms) + self.config.loss.logits * sum(excess)
         if manifold:
             loss = loss + self.config.loss.manifold * sum(manifold)
@@ -120,7 +120,7 @@ class Denoising(lightning.LightningModule):
         inputs, exposure = batch.inputs | {"radiance": batch.inputs["color"]}, batch.inputs["exposure"]
         image, logits, paths = model.filter(inputs, batch.counts)
         reference = batch.reference["color"] * exposure.reshape(-1, 1, 1, 1)
-        error = robust_relative(image * exposure.reshape(-1, 1, 1, 1), reference, error_scale(reference))
+        error = self.image_error(image * exposure.reshape(-1, 1, 1, 1), reference, error_scale(reference))
         loss = error + self.config.loss.logits * sum(logit_excess(level) for level in logits)
         if self.config.loss.manifold > 0.0:
             pairs = self.config.loss.manifold_pairs
@@ -129,6 +129,11 @@ class Denoising(lightning.LightningModule):
             self.log("manifold", manifold, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         self.log("image", error, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         return loss
+
+    def image_error(self, output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
+        if self.config.loss.image == "unbiased":
+            return unbiased_relative(output, reference)
+        return robust_relative(output, reference, scale)
 
     def sharing(self) -> dict[str, Any]:
         """Which of how many processes this is, and how to fetch what the others hold: manifold_loss's arguments.

@@ -1,0 +1,107 @@
+"""Many views with cheap references, or few with clean ones? One network, one amount of core time, several budgets.
+
+    python benchmarks/references.py WORK [--budgets 0.5 4 16 --core-minutes 6 --seeds 3 --steps 400]
+
+Every budget (core-seconds per reference, as `pathfold-train render --budget`) gets as many generated views as the core
+time allows, refused ones included. The network is trained on them with each loss and seed, and scored on views that
+none has seen, whose references had `--clean` core-seconds: RelL2 relative to the noisy input's at 8 spp, geometric
+mean. WORK keeps data sets and checkpoints; the same command goes on where it was stopped.
+"""
+
+import argparse
+import math
+import resource
+from pathlib import Path
+from statistics import geometric_mean, median, stdev
+
+import torch
+from pathfold_training import store
+from pathfold_training.config import Config, load_preset
+from pathfold_training.data import Stored, ValidationViews
+from pathfold_training.fit import fit
+from pathfold_training.render import render
+from pathfold_training.task import Denoising
+
+ROUND = 8  # views between two looks at the clock
+HELD_OUT_SEED = 1000
+
+
+def core_seconds() -> float:
+    """CPU time of this process and of the workers it has waited for."""
+    return sum(
+        t.ru_utime + t.ru_stime for t in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    )
+
+
+def render_for(seconds: float, folder: Path, budget: float) -> float:
+    """Renders views until the core time is spent; returns what was spent. Unfinished rounds are not begun again."""
+    spent_file, spent = folder / "core-seconds", 0.0
+    if spent_file.exists():
+        return float(spent_file.read_text())
+    number = 0
+    while spent < seconds:
+        number += ROUND
+        start = core_seconds()
+        render(folder, procedural=number, budget=budget, held_out=0.15)
+        spent += core_seconds() - start
+    spent_file.write_text(str(spent))
+    return spent
+
+
+def score(checkpoint: Path, held_out: ValidationViews) -> float:
+    """Geometric mean over views of RelL2 over the noisy input's."""
+    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    task = Denoising(Config.model_validate(state["hyper_parameters"]["config"])).eval()
+    task.load_state_dict(state["state_dict"])
+    ratios = []
+    for index in range(len(held_out)):
+        batch = held_out[index]
+        exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
+        reference = batch.reference["color"] * exposure
+        with torch.no_grad():
+            pictures = task.denoise(batch), batch.inputs["color"]
+        clean, noisy = (((p * exposure - reference).square() / (reference.square() + 0.01)).mean() for p in pictures)
+        ratios.append(float(clean / noisy))
+    return geometric_mean(ratios)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--budgets", type=float, nargs="+", default=[0.5, 4, 16])
+    parser.add_argument("--core-minutes", type=float, default=6)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=400)
+    parser.add_argument("--preset", default="pathfold-fast")
+    parser.add_argument("--held-out", type=int, default=16, help="views to score on")
+    parser.add_argument("--clean", type=float, default=30, help="core-seconds of their references")
+    arguments = parser.parse_args()
+    clean = arguments.work / "held-out"
+    render(clean, procedural=arguments.held_out, budget=arguments.clean, seed=HELD_OUT_SEED, held_out=0.0)
+    preset = load_preset(arguments.preset)
+    held_out = ValidationViews(Stored(clean).train, preset.network.embedding > 0)
+    print(
+        "| budget | views | median reference spp | their median RelL2 | loss | error / noisy | deviation over seeds |"
+    )
+    print("|---|---|---|---|---|---|---|", flush=True)
+    for budget in arguments.budgets:
+        data = arguments.work / f"budget-{budget:g}"
+        render_for(60 * arguments.core_minutes, data, budget)
+        views = store.read_index(data)
+        facts = f"{budget:g} | {len(views)} | {median(v['reference_spp'] for v in views):.0f}"
+        facts += f" | {median(v['reference_rell2'] for v in views):.1e}"
+        for loss in ("robust", "unbiased"):
+            options = preset.optimiser.model_copy(update={"steps": arguments.steps})
+            config = preset.model_copy(
+                update={"loss": preset.loss.model_copy(update={"image": loss}), "optimiser": options}
+            )
+            scores = []
+            for seed in range(arguments.seeds):
+                run = arguments.work / "runs" / f"{budget:g}-{loss}-{seed}"
+                scores.append(score(fit(config, data, run, seed, 1, validate_every=10**6), held_out))
+            spread = stdev(map(math.log, scores)) if len(scores) > 1 else 0.0
+            print(f"| {facts} | {loss} | {geometric_mean(scores):.4f} | {100 * spread:.1f} % |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
