@@ -222,6 +222,10 @@ def test_views_of_nothing_a_wall_or_a_near_object_are_refused() -> None:
     assert faults.geometry_fault(seen(depth, range(8))) is None
     assert faults.geometry_fault(seen([np.inf, np.inf, 2], range(8))) == "sees nothing"
     assert faults.geometry_fault(seen(depth, [5])) == "one surface only"
+    assert faults.geometry_fault(seen(depth, [5] * 80 + [2, 3, 4] * 5)) is None
+    assert faults.geometry_fault(seen(depth, [5] * 93 + [2, 2, 3, 3])) == "one surface only"
+    empty = np.append(depth, [np.inf] * 15)
+    assert faults.geometry_fault(seen(empty, [5] * 45 + [2, 2, 3, 3, 4] + [0] * 15)) == "little to see"
     assert faults.geometry_fault(seen([2, 2.05], range(8))) == "looks into a wall"
     assert faults.geometry_fault(seen([0.1, 2, 2.5], range(8))) == "something before the lens"
 

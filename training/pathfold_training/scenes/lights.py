@@ -19,18 +19,24 @@ def sky(stage: Stage) -> None:
     rng = stage.rng
     pick = rng.uniform()
     if pick < 0.45:
-        height, turn = np.radians(rng.uniform(6, 75)), rng.uniform(0, 2 * np.pi)
-        sun = [np.cos(height) * np.cos(turn), np.cos(height) * np.sin(turn), np.sin(height)]
-        scale = {
-            "sun_scale": rng.uniform(0.1, 1),
-            "sky_scale": rng.uniform(0.4, 2),
-            "sun_aperture": rng.uniform(0.5, 4),
-        }
-        stage.put({"type": "sunsky", "sun_direction": list(map(float, sun)), "turbidity": rng.uniform(2, 8)} | scale)
+        sun(stage)
     elif pick < 0.93:
         environment(stage)
     else:
         even(stage, 0.5, 1)
+
+
+def sun(stage: Stage) -> None:
+    """Sun and sky, from a low sun to noon."""
+    rng = stage.rng
+    height, turn = np.radians(rng.uniform(6, 75)), rng.uniform(0, 2 * np.pi)
+    way = [np.cos(height) * np.cos(turn), np.cos(height) * np.sin(turn), np.sin(height)]
+    scale = {
+        "sun_scale": rng.uniform(0.1, 1),
+        "sky_scale": rng.uniform(0.4, 2),
+        "sun_aperture": rng.uniform(0.5, 4),
+    }
+    stage.put({"type": "sunsky", "sun_direction": list(map(float, way)), "turbidity": rng.uniform(2, 8)} | scale)
 
 
 def even(stage: Stage, low: float, high: float) -> None:
@@ -117,7 +123,7 @@ def shaded_lamp(stage: Stage, placement: Array, power: float, height: float) -> 
 
 
 def lantern(stage: Stage, placement: Array, power: float, size: float) -> None:
-    """A light behind glass: a flame in a thin-walled box of panes."""
+    """A light behind glass: a large bulb in a box of panes, as a small one is never met by chance."""
     rng = stage.rng
     edge = stage.material("metal")
     for z in (0, 1):
@@ -132,7 +138,7 @@ def lantern(stage: Stage, placement: Array, power: float, size: float) -> None:
             (0.9 * size, 1.35 * size),
             bsdf=stage.material("pane"),
         )
-    stage.bulb((placement @ [0, 0, 0.5 * size, 1])[:3], 0.12 * size, power, warm(rng))
+    stage.bulb((placement @ [0, 0, 0.6 * size, 1])[:3], 0.3 * size, power, warm(rng))
 
 
 def screen(stage: Stage, placement: Array, size: tuple[float, float], radiance: float) -> None:

@@ -137,8 +137,11 @@ def land(stage: Stage, blur: float) -> Propose:
         near = np.abs(ground.vertices[:, :2] * 22 - xy).sum(1).argmin()
         return float(ground.vertices[near, 2] * rise)
 
+    sights: list[Array] = []
+
     def spot(reach: float, yaw: float = 0) -> Array:
         xy = rng.uniform(-reach, reach, 2)
+        sights.append(xy)
         return frame(xy[0], xy[1], level(xy) - 0.05, yaw)
 
     if rng.uniform() < 0.45:
@@ -150,7 +153,7 @@ def land(stage: Stage, blur: float) -> Propose:
         )
         low = float(np.quantile(ground.vertices[:, 2], rng.uniform(0.2, 0.5))) * rise
         stage.mesh(ripple, mi.load_dict(water), frame(z=low, scale=np.array([22, 22, 0.25])))
-    for _ in range(int(rng.integers(0, 12))):
+    for _ in range(int(rng.integers(3, 14))):
         size = rng.uniform(0.2, 1) ** 2 * 2 + 0.15
         stage.mesh(solids.hull(rng), stage.material(), spot(8, rng.uniform(0, 6.3)) @ frame(z=0.3 * size, scale=size))
     for _ in range(int(rng.integers(0, 8))):
@@ -168,12 +171,12 @@ def land(stage: Stage, blur: float) -> Propose:
     for _ in range(int(rng.integers(0, 6))):
         tuft, radius = growth.tuft(rng, 120)
         stage.put(growth.strands(tuft, radius, stage.material("hair"), spot(4) @ frame(scale=rng.uniform(0.4, 1.3))))
-    lights.sky(stage)
+    lights.sun(stage) if rng.uniform() < 0.7 else lights.environment(stage)
 
     def propose(rng: Generator) -> Camera:
-        turn, far = rng.uniform(0, 6.3), rng.uniform(5, 14)
-        origin = far * np.array([np.cos(turn), np.sin(turn)])
-        target = rng.uniform(-3, 3, 2)
+        turn, far = rng.uniform(0, 6.3), rng.uniform(2.5, 10)
+        target = sights[rng.integers(len(sights))]
+        origin = target + far * np.array([np.cos(turn), np.sin(turn)])
         eye = level(origin) + rng.choice([rng.uniform(0.5, 2), rng.uniform(2, 7)])
         goal = level(target) + rng.uniform(0, 2)
         return Camera(np.append(origin, eye), np.append(target, goal), np.array([0.0, 0, 1]), rng.uniform(25, 75), blur)

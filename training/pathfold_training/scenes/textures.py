@@ -80,11 +80,10 @@ def _regular(rng: Generator, kind: str, x: Array, y: Array, n: int) -> Array:
 
 def _cells(rng: Generator, x: Array, y: Array, count: int) -> Array:
     """Cracked ground, scales or leather: distance to the edge between the two nearest of some points."""
-    near = np.full((2, *x.shape), 9.0)
-    for cx, cy in rng.uniform(size=(count, 2)):
-        far = np.hypot((x - cx + 0.5) % 1 - 0.5, (y - cy + 0.5) % 1 - 0.5)
-        near = np.sort(np.concatenate([near, far[None]]), 0)[:2]
-    return np.clip((near[1] - near[0]) * np.sqrt(count) * 1.2, 0, 1)
+    from scipy.spatial import KDTree
+
+    near, _ = KDTree(rng.uniform(size=(count, 2)), boxsize=1).query(np.stack([x, y], -1), 2)
+    return np.clip((near[..., 1] - near[..., 0]) * np.sqrt(count) * 1.2, 0, 1)
 
 
 def _shapes(rng: Generator, x: Array, y: Array) -> Array:
