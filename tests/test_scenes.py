@@ -197,7 +197,9 @@ def test_letters_glow() -> None:
     def sign(stage: Stage) -> None:
         stage.mesh(solids.text(stage.rng, 2), stage.material("matte"), np.eye(4), emission(50))
 
-    assert lit(sign, light={"type": "constant", "radiance": 0.0}).max() == pytest.approx(50, rel=1e-4)
+    color = lit(sign, light={"type": "constant", "radiance": 0.0})
+    assert 49.9 < color.max() < 90  # its own radiance, and what letters throw on each other
+    assert color[0].max() == 0
 
 
 def test_tones_are_reflectances_and_differ() -> None:
