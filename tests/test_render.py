@@ -19,6 +19,7 @@ import pytest
 pytest.importorskip("mitsuba")
 
 from pathfold_training import farm, reference, render, store, view
+from pathfold_training.scenes.faults import RejectedError
 
 LIBRARY = Path(__file__).parent / "assets" / "library"
 SMALL = {"budget": 0.0, "seed": 3, "size": 16, "spp": 4}
@@ -65,6 +66,12 @@ def test_samples_come_again_from_the_description(task: view.Task, rendered: tupl
     assert {name for name in tensors if not name.startswith("samples.")} == set()
     assert all(np.array_equal(tensors[name], first[name]) for name in tensors)
     assert again["crops"] == line["crops"]
+
+
+def test_samples_are_not_rendered_to_a_reference_of_another_generator(task: view.Task) -> None:
+    known = {"kind": "procedural", "generator": 1, "scene_seed": 5, "width": 16, "height": 16, "camera": None}
+    with pytest.raises(RejectedError, match="generator 1 made its scene"):
+        view.render_view(replace(task, kind="procedural", path="", known=known))
 
 
 def test_crops_are_windows_of_the_view(task: view.Task) -> None:

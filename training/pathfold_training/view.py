@@ -151,7 +151,7 @@ def _draft(depth: int) -> Any:
 
 def _new_scene(task: Task) -> tuple[Any, Line]:
     """The scene with a camera found and aimed, and the line that describes both."""
-    from .scenes import cameras, library
+    from .scenes import cameras, library, procedural
 
     size = task.size, task.size
     line: Line = {name: getattr(task, name) for name in DESCRIPTION}
@@ -171,16 +171,22 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
         except RejectedError as error:
             reasons.append(f"{built.kind} ({error})")
             continue
-        line |= {"content": built.kind, "max_depth": built.max_depth, "scene_seed": int(state[0])}
+        line |= {"content": built.kind, "max_depth": built.max_depth}
+        line |= {"generator": procedural.GENERATOR, "scene_seed": int(state[0])}
         return scene, line | {"camera": _plain(camera)}
     raise RejectedError("; ".join(reasons))
 
 
 def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
     """The scene of an index line with its camera aimed again."""
-    from .scenes import cameras
+    from .scenes import cameras, procedural
 
     size = line["width"], line["height"]
+    if line["kind"] == "procedural" and line.get("generator", 1) != procedural.GENERATOR:
+        raise RejectedError(
+            f"generator {line.get('generator', 1)} made its scene and this is {procedural.GENERATOR}; "
+            "render the data set anew, or its samples with the version that made it"
+        )
     scene = _load_file(task) if line["kind"] == "library" else _build(line["scene_seed"])[1]
     if line["camera"]:
         pose = line["camera"]

@@ -28,6 +28,29 @@ class Camera(NamedTuple):
     blur: float = 0
 
 
+Propose = Callable[[Generator], Camera | None]  # a pose to try, or None where there is no room for one
+
+
+def orbit(
+    rng: Generator,
+    target: Vector,
+    far: tuple[float, float],
+    elevation: tuple[float, float],
+    blur: float,
+    fov: tuple[float, float] = (28, 70),
+) -> Camera:
+    """Somewhere around a target, `elevation` in degrees, seldom from straight above; one in five is tilted sideways."""
+    turn, distance = rng.uniform(0, 2 * np.pi), rng.uniform(*far)
+    rise = np.radians(elevation[0] + (elevation[1] - elevation[0]) * rng.uniform() ** 1.5)
+    if rng.uniform() < 0.08:
+        rise = np.radians(rng.uniform(65, 88))
+    way = np.array([np.cos(turn) * np.cos(rise), np.sin(turn) * np.cos(rise), np.sin(rise)])
+    up = np.array([0.0, 0, 1])
+    if rng.uniform() < 0.2:
+        up = up + rng.normal(size=3) * [0.25, 0.25, 0]
+    return Camera(target + distance * way, target, up, rng.uniform(*fov), blur)
+
+
 def aim(scene: mi.Scene, camera: Camera, size: tuple[int, int]) -> None:
     """Turns the scene's first sensor into this camera with a film of width x height pixels."""
     params = mi.traverse(scene.sensors()[0])
@@ -81,7 +104,7 @@ def survey(scene: mi.Scene) -> Survey:
 
 def find(
     scene: mi.Scene,
-    propose: Callable[[Generator], Camera | None],
+    propose: Propose,
     draft: Callable[[mi.Scene], NDArray[np.float32]],
     rng: Generator,
     size: tuple[int, int],

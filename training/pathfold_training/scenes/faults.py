@@ -35,6 +35,9 @@ def geometry_fault(seen: Survey) -> str | None:
     share = np.sort(np.bincount(np.unique(seen.shape, return_inverse=True)[1]))[::-1] / len(hit)
     if share[0] > 0.9 or (share > 0.004).sum() < 3:
         return "one surface only"
+    count = np.unique(seen.shape[hit], return_counts=True)[1]
+    if share[0] > 0.65 and (count.sum() - count.max()) < 0.1 * len(hit):
+        return "little to see"
     spread = np.percentile(seen.distance[hit], [5, 95])
     if spread[1] < 1.15 * spread[0]:
         return "looks into a wall"

@@ -4,40 +4,80 @@ from __future__ import annotations
 
 import mitsuba as mi
 import numpy as np
+from numpy.random import Generator
 
-from . import meshes, textures
+from . import growth, materials, meshes, solids, textures
 from .meshes import Array, frame
 from .stage import Stage, warm
 
+ITEMS = {  # what lies about, and how often
+    "vase": 2,
+    "bowl": 2,
+    "glass": 2,
+    "knot": 1,
+    "spring": 1,
+    "block": 2,
+    "ball": 2,
+    "quadric": 2,
+    "blob": 2,
+    "carved": 3,
+    "turned": 3,
+    "hull": 2,
+    "wire": 1,
+    "text": 1,
+    "fur": 0.5,
+    "tuft": 1,
+    "shade": 0.7,
+    "crumple": 0.7,
+}
+STANDING = ("vase", "bowl", "glass", "spring", "turned", "text")  # made on z = 0, 1 high
+ROUND = ("quadric", "blob", "ball", "carved", "hull", "wire", "knot")  # made about the origin, radius 1
 
-def item(stage: Stage, placement: Array, size: float, bsdf: mi.BSDF | None = None) -> None:
-    """One object about `size` tall: vase, bowl, glass, knot, pebble, block, ball, spring."""
+
+def item(stage: Stage, placement: Array, size: float, bsdf: mi.BSDF | None = None, kind: str | None = None) -> None:
+    """One object about `size` tall, of one of ITEMS."""
     rng = stage.rng
+    weights = np.array(list(ITEMS.values())) / sum(ITEMS.values())
+    kind = kind or str(rng.choice(list(ITEMS), p=weights))
+    placement = placement @ frame(yaw=rng.uniform(0, 6.3))
+    if kind in ("fur", "tuft"):
+        make = growth.fur if kind == "fur" else growth.tuft
+        grown = placement @ frame(z=0.5 * size * (kind == "fur"), scale=size * (0.5 if kind == "fur" else 1))
+        stage.put(growth.strands(*make(rng), stage.material("hair"), grown))
+        if kind == "fur":
+            stage.mesh(meshes.superquadric(1, 1, 24), stage.material("matte"), grown @ frame(scale=0.69))
+        return
     bsdf = bsdf or stage.any_material()
-    kind = str(rng.choice(["lathe", "bowl", "glass", "knot", "blob", "block", "quadric", "spring", "ball"]))
-    yaw = frame(yaw=rng.uniform(0, 6.3), scale=size)
-    if kind in ("lathe", "bowl", "glass"):
-        stage.mesh(meshes.lathe(rng, "vase" if kind == "lathe" else kind), bsdf, placement @ yaw)
-    elif kind == "spring":
-        stage.mesh(meshes.spring(rng), bsdf, placement @ yaw)
-    elif kind == "block":
-        stage.box(size * rng.uniform(0.3, 1, 3), bsdf, placement @ frame(yaw=rng.uniform(0, 6.3)))
-    elif kind == "knot":
-        tilt = np.eye(4)
-        tilt[1:3, 1:3] = [[0, -1], [1, 0]]
-        stage.mesh(
-            meshes.knot(rng),
-            bsdf,
-            placement @ frame(z=0.55 * size) @ frame(yaw=rng.uniform(0, 6.3), scale=0.42 * size) @ tilt,
+    if kind in STANDING:
+        surface = solids.text(rng) if kind == "text" else solids.turned(rng) if kind == "turned" else None
+        surface = surface or (meshes.spring(rng) if kind == "spring" else meshes.lathe(rng, kind))
+        stage.mesh(surface, bsdf, placement @ frame(scale=size))
+    elif kind in ROUND:
+        stretch = (
+            size * rng.uniform(0.35, 0.5) * (rng.uniform(0.6, 1, 3) if kind in ("quadric", "blob") else np.ones(3))
         )
+        stage.mesh(_round(rng, kind), bsdf, placement @ frame(z=0.95 * stretch[2]) @ frame(scale=stretch))
+    elif kind == "shade":
+        sheet = stage.material("perforated" if rng.uniform() < 0.6 else "translucent")
+        bend = meshes.grid(lambda u, v: (0.4 * np.cos(4.5 * u), 0.4 * np.sin(4.5 * u), v), 40, 2)
+        stage.mesh(bend, sheet, placement @ frame(scale=size))
+    elif kind == "crumple":
+        stage.mesh(growth.crumple(rng), bsdf, placement @ frame(scale=0.6 * size))
     else:
-        shape = (
-            meshes.blob(rng, rng.uniform(0.1, 0.6)) if kind == "blob" else meshes.superquadric(*rng.uniform(0.1, 2, 2))
-        )
-        shape = meshes.superquadric(1, 1) if kind == "ball" else shape
-        stretch = size * rng.uniform(0.3, 0.5) * (1 if kind == "ball" else rng.uniform(0.6, 1, 3))
-        height = float(np.broadcast_to(stretch, 3)[2])
-        stage.mesh(shape, bsdf, placement @ frame(z=height) @ frame(yaw=rng.uniform(0, 6.3), scale=stretch))
+        stage.box(size * rng.uniform(0.3, 1, 3), bsdf, placement)
+
+
+def _round(rng: Generator, kind: str) -> meshes.Surface:
+    if kind in ("carved", "hull"):
+        return getattr(solids, kind)(rng)
+    if kind == "wire":
+        return growth.wire(rng)
+    if kind == "knot":
+        knot = meshes.knot(rng)
+        return knot._replace(vertices=knot.vertices[:, [0, 2, 1]] * [1, -1, 1])  # upright
+    if kind == "blob":
+        return meshes.blob(rng, rng.uniform(0.1, 0.6))
+    return meshes.superquadric(*((1, 1) if kind == "ball" else rng.uniform(0.1, 2, 2)))
 
 
 def scatter(stage: Stage, placement: Array, area: tuple[float, float], count: int, size: tuple[float, float]) -> None:
@@ -58,8 +98,11 @@ def table(stage: Stage, placement: Array, size: tuple[float, float, float], laid
     rng = stage.rng
     wood, top = (stage.material() for _ in range(2))
     x, y, z = size
-    if rng.uniform() < 0.15:
+    if rng.uniform() < 0.1:
         top = stage.material("glass")
+    elif rng.uniform() < 0.2:
+        cloth = growth.drape(rng, (x / 2, y / 2), rng.uniform(0.15, 0.9) * z)
+        stage.mesh(cloth, stage.material(), placement @ frame(z=z))
     stage.box((x, y, 0.04), top, placement, (0, 0, z - 0.04))
     leg = meshes.lathe(rng, "leg", 20)
     for sx, sy in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
@@ -143,26 +186,6 @@ def plant(stage: Stage, placement: Array, height: float) -> None:
     )
 
 
-def floor_lamp(stage: Stage, placement: Array, power: float) -> None:
-    """A bulb in an open shade on a pole."""
-    rng = stage.rng
-    x, y, z = placement[:3, 3]
-    height = rng.uniform(1.3, 1.7)
-    stage.box((0.03, 0.03, height), stage.material("metal"), placement)
-    stage.box((0.3, 0.3, 0.03), stage.material("metal"), placement)
-    shade = meshes.grid(
-        lambda u, v: ((0.2 - 0.08 * v) * np.cos(6.2832 * u), (0.2 - 0.08 * v) * np.sin(6.2832 * u), 0.28 * v), 40, 2
-    )
-    cover = mi.load_dict(
-        {
-            "type": "twosided",
-            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": textures.colour(rng, 0.2, 0.5, 0.9)}},
-        }
-    )
-    stage.mesh(shade, cover, placement @ frame(z=height))
-    stage.bulb((x, y, z + height + 0.12), rng.uniform(0.03, 0.06), power, warm(rng))
-
-
 def picture(stage: Stage, placement: Array) -> None:
     """A framed picture on the wall behind (+y)."""
     rng = stage.rng
@@ -173,7 +196,9 @@ def picture(stage: Stage, placement: Array) -> None:
             "type": "twosided",
             "bsdf": {
                 "type": "diffuse",
-                "reflectance": textures.coloured(rng, str(rng.choice(["shapes", "noise", "marble"]))),
+                "reflectance": textures.coloured(
+                    rng, stage.tones, str(rng.choice(["shapes", "noise", "marble", "cells", "plaid", "stains"]))
+                ),
             },
         }
     )
@@ -202,3 +227,91 @@ def panel(stage: Stage, placement: Array, size: tuple[float, float], power: floa
     """A flat light in the ceiling, shining down."""
     x, y, z = placement[:3, 3]
     stage.area_light((x, y, z - 0.02), (x, y, 0), size, power, warm(stage.rng))
+
+
+def bed(stage: Stage, placement: Array) -> None:
+    """Head against the wall behind (+y), under a crumpled cover."""
+    rng = stage.rng
+    wood, linen = stage.material(), stage.material()
+    wide = rng.uniform(0.9, 1.7)
+    stage.box((wide, 2, 0.25), wood, placement, (0, -0.75, 0.05))
+    stage.box((wide, 0.06, rng.uniform(0.7, 1.2)), wood, placement, (0, 0.24, 0))
+    soft = meshes.superquadric(0.2, 0.2, 32)
+    stage.mesh(soft, linen, placement @ frame(0, -0.75, 0.4) @ frame(scale=np.array([wide / 2, 0.98, 0.13])))
+    cover = growth.crumple(rng)
+    spread = np.array([0.55 * wide, 0.7, 0.25])
+    stage.mesh(cover, stage.material(), placement @ frame(0, -1.05, 0.5) @ frame(scale=spread))
+    for x in np.linspace(-0.25, 0.25, 1 if wide < 1.2 else 2) * wide:
+        pillow = frame(x, -0.02, 0.57, rng.normal() * 0.1) @ frame(scale=np.array([0.3, 0.2, 0.09]))
+        stage.mesh(meshes.superquadric(0.5, 0.4, 24), linen, placement @ pillow)
+
+
+def crates(stage: Stage, placement: Array, count: int) -> None:
+    """Boxes piled up."""
+    rng = stage.rng
+    skins = [stage.material() for _ in range(2)]
+    for x in (-0.45, 0, 0.45)[: count // 2 + 1]:
+        z = 0.0
+        for _ in range(int(rng.integers(1, 2 + count // 2))):
+            size = rng.uniform(0.25, 0.45, 3)
+            stage.box(size, skins[rng.integers(2)], placement @ frame(x, rng.normal() * 0.05, z, rng.normal() * 0.2))
+            z += size[2]
+
+
+def pedestal(stage: Stage, placement: Array, height: float) -> None:
+    """A plinth with one large thing on it."""
+    kinds = ["carved", "turned", "knot", "hull", "quadric", "blob", "wire", "fur", "vase", "text"]
+    wide = stage.rng.uniform(0.3, 0.5)
+    stage.box((wide, wide, height), stage.material("matte"), placement)
+    item(stage, placement @ frame(z=height), stage.rng.uniform(0.4, 0.9), kind=str(stage.rng.choice(kinds)))
+
+
+def rug(stage: Stage, placement: Array, size: tuple[float, float]) -> None:
+    """A flat patterned cloth, or one with a pile of curves."""
+    rng = stage.rng
+    cover = materials.opaque(rng, stage.tones, 0.9, float(rng.integers(1, 5)), "diffuse")
+    stage.box((*size, 0.012), cover, placement)
+    if rng.uniform() < 0.25:
+        points, radius = growth.lawn(rng, 1, 4000, 0.05 / max(size))
+        pile = placement @ frame(z=0.01) @ np.diag([*size, max(size), 1])
+        stage.put(growth.strands(points, radius, stage.material("hair"), pile))
+
+
+def mirror(stage: Stage, placement: Array) -> None:
+    """On the wall behind (+y)."""
+    w, h = stage.rng.uniform(0.4, 1.2, 2)
+    stage.box((w + 0.1, 0.03, h + 0.1), stage.material(), placement, (0, 0, -0.05))
+    stage.box((w, 0.01, h), mi.load_dict({"type": "conductor", "material": "Ag"}), placement, (0, -0.02, 0))
+
+
+def stairs(stage: Stage, placement: Array, width: float, steps: int) -> None:
+    """Steps that rise along +y."""
+    stone = stage.material()
+    for i in range(steps):
+        stage.box((width, 0.3, 0.17 * (i + 1)), stone, placement, (0, 0.3 * i, 0))
+
+
+def tree(stage: Stage, placement: Array, height: float) -> None:
+    wood, crown = growth.tree(stage.rng)
+    stage.mesh(wood, stage.material(), placement @ frame(scale=height))
+    stage.mesh(crown, stage.material("foliage"), placement @ frame(scale=height))
+
+
+def arcade(stage: Stage, placement: Array, bays: int, height: float, bsdf: mi.BSDF) -> None:
+    """A row of columns along x under a beam, with round arches between where there is room."""
+    rng = stage.rng
+    column = meshes.lathe(rng, "column", 24) if rng.uniform() < 0.6 else solids.turned(rng, 72)
+    gap = height * rng.uniform(0.4, 0.7)
+    thick = 0.3 * gap
+    ring = meshes.tube(
+        lambda u: np.stack([0.5 * gap * np.cos(np.pi * u), 0 * u, 0.4 * gap * np.sin(np.pi * u)], -1),
+        0.13 * gap,
+        32,
+        12,
+    )
+    for i in range(bays + 1):
+        at = placement @ frame((i - bays / 2) * gap)
+        stage.mesh(column, bsdf, at @ frame(scale=np.array([thick, thick, 0.7 * height])))
+        if i < bays:
+            stage.mesh(ring, bsdf, at @ frame(0.5 * gap, 0, 0.7 * height))
+    stage.box((bays * gap + thick, 0.9 * thick, 0.1 * height), bsdf, placement, (0, 0, 0.7 * height + 0.5 * gap))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mitsuba as mi
 import numpy as np
@@ -36,10 +36,12 @@ def at(xy: Array, z: float = 0, yaw: float = 0) -> Array:
     return frame(float(xy[0]), float(xy[1]), z, yaw)
 
 
-def to_shape(surface: Surface, bsdf: mi.BSDF, placement: Array) -> mi.Mesh:
-    """The surface as a Mitsuba mesh, placed by a 4 x 4 matrix."""
+def to_shape(surface: Surface, bsdf: mi.BSDF, placement: Array, light: dict[str, Any] | None = None) -> mi.Mesh:
+    """The surface as a Mitsuba mesh, placed by a 4 x 4 matrix; `light` is its emitter, if any."""
     props = mi.Properties()
     props["bsdf"] = bsdf
+    if light:
+        props["emitter"] = mi.load_dict(light)
     count = len(surface.vertices), len(surface.faces)
     mesh = mi.Mesh("mesh", *count, has_vertex_normals=surface.smooth, has_vertex_texcoords=True, props=props)
     params = mi.traverse(mesh)
@@ -127,7 +129,7 @@ def tube(path: Callable[[Array], Array], radius: float, nu: int = 256, nv: int =
         side /= np.linalg.norm(side, axis=-1, keepdims=True)
         up, a = np.cross(along, side), 2 * np.pi * v
         r = radius * (1 + 0.25 * np.cos(lobes * a) * (lobes > 0))
-        p = centre + (r * np.cos(a))[..., None] * side + (r * np.sin(a))[..., None] * up
+        p = centre + (r * np.cos(a))[..., None] * side - (r * np.sin(a))[..., None] * up
         return tuple(np.moveaxis(p, -1, 0))
 
     return grid(shape, nu, nv)

@@ -8,10 +8,20 @@ import mitsuba as mi
 import numpy as np
 from numpy.random import Generator
 
-from . import materials
+from . import materials, tones
 from .meshes import Array, Surface, frame, to_shape
 
-PALETTE = {"opaque": 6, "metal": 2, "glass": 2, "foliage": 1, "matte": 2}  # materials of a kind in one scene
+PALETTE = {  # materials of a kind in one scene
+    "opaque": 6,
+    "metal": 2,
+    "glass": 2,
+    "foliage": 2,
+    "matte": 2,
+    "translucent": 1,
+    "perforated": 1,
+    "hair": 1,
+    "pane": 1,
+}
 
 
 class Stage:
@@ -20,6 +30,7 @@ class Stage:
     def __init__(self, rng: Generator) -> None:
         self.rng = rng
         self.entries: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": 8}}
+        self.tones = tones.draw(rng)
         self.palette: dict[str, list[mi.BSDF]] = {kind: [] for kind in PALETTE}
 
     def put(self, entry: Any) -> None:
@@ -30,16 +41,18 @@ class Stage:
         """One of the scene's few materials of this kind: furniture matches, and kernels compile fast."""
         known = self.palette[kind]
         if len(known) < PALETTE[kind]:
-            known.append(getattr(materials, kind)(self.rng))
+            known.append(materials.pane() if kind == "pane" else getattr(materials, kind)(self.rng, self.tones))
             return known[-1]
         return known[self.rng.integers(len(known))]
 
     def any_material(self) -> mi.BSDF:
         """For things on tables: glass and metal more often than for furniture."""
-        return self.material(str(self.rng.choice(["glass", "metal", "opaque"], p=[0.18, 0.16, 0.66])))
+        kinds = ["glass", "metal", "translucent", "opaque"]
+        return self.material(str(self.rng.choice(kinds, p=[0.15, 0.14, 0.04, 0.67])))
 
-    def mesh(self, surface: Surface, bsdf: mi.BSDF, placement: Array) -> None:
-        self.put(to_shape(surface, bsdf, placement))
+    def mesh(self, surface: Surface, bsdf: mi.BSDF, placement: Array, light: dict[str, Any] | None = None) -> None:
+        """A surface placed by a 4 x 4 matrix, glowing where `light` is an emitter."""
+        self.put(to_shape(surface, bsdf, placement, light))
 
     def box(self, size: Any, bsdf: mi.BSDF, placement: Array, at: Any = (0, 0, 0), **extra: Any) -> None:
         """A box of `size` whose base centre is `at` in the frame `placement`."""
@@ -86,7 +99,7 @@ def emission(radiance: float, tint: Any = (1, 1, 1)) -> dict[str, Any]:
 
 def warm(rng: Generator) -> list[float]:
     """The tint of a lamp: from candle to daylight, seldom coloured."""
-    if rng.uniform() < 0.1:
-        return list(rng.uniform(0.2, 1, 3))
+    if rng.uniform() < 0.15:
+        return list(map(float, rng.uniform(0.1, 1, 3)))
     heat = rng.uniform(0, 1)
     return [1, 0.75 + 0.25 * (1 - heat), 1 - 0.6 * heat]
