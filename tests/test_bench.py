@@ -209,12 +209,18 @@ def test_a_scene_is_measured_and_what_is_measured_is_kept(run, tmp_path: Path) -
     for record in first:
         assert record["scene"] == "tiny" and (record["width"], record["height"]) == (48, 27)
         assert all(math.isfinite(record[name]) for name in ("rell2", "smape", "ssim", "flip"))
-        assert record["render_ms"] and bool(record["denoise_ms"]) == (record["method"] != "noisy")
+        timed = 3 if record["seed"] == 0 else 1
+        assert len(record["denoise_ms"]) == (timed if record["method"] != "noisy" else 0)
+        plain = record["method"] != "samples-5"  # without descriptors a frame is rendered for its time only
+        assert len(record["render_ms"]) == (0 if plain and record["seed"] else timed)
         measured_cold = record["method"] != "noisy" and record["seed"] == 0
         assert (record["cold_ms"] is not None) == (record["peak_mb"] is not None) == measured_cold
         assert record["reference_spp"] == 64 and 0 < record["reference_rell2"] < 1
         assert record["machine"] and record["versions"]["pathfold"]
     render = {(r["spp"], r["seed"], r["method"]): r["render_ms"] for r in first}
+    cold_ms = {(r["spp"], r["method"]): r["cold_ms"] for r in first if r["seed"] == 0}
+    assert cold_ms[1, "oidn"] == cold_ms[2, "oidn"]  # its inputs are the same at any spp
+    assert cold_ms[1, "samples-5"] != cold_ms[2, "samples-5"]
     assert render[2, 0, "noisy"] == render[2, 0, "oidn"] != render[2, 0, "samples-5"]  # descriptors cost their reader
     rell2 = {(r["spp"], r["seed"]): r["rell2"] for r in first if r["method"] == "noisy"}
     assert rell2[2, 0] < rell2[1, 0] and rell2[1, 0] != rell2[1, 1]

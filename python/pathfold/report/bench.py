@@ -20,7 +20,7 @@ from pathfold import auto_exposure, metrics
 from pathfold.images import OutputError, check_writable
 from pathfold.report import candidates, machine, peers, picture, results
 from pathfold.report.candidates import Candidate, Run
-from pathfold.report.measure import Contest, Measurement
+from pathfold.report.measure import Contest, Known, Measurement
 from pathfold.report.reference import Reference, shared_exposure
 from pathfold.report.subjects import Subject
 
@@ -61,12 +61,19 @@ class Job:
 
     @property
     def work(self) -> float:
-        return sum(work(unit) for unit in self.todo)
+        return sum(work(self.subject, unit) for unit in self.todo)
 
 
-def work(unit: Unit) -> float:
+def work(subject: Subject, unit: Unit) -> float:
     """How long a unit takes, roughly, against others."""
-    return unit[0] + 6.0
+    spp = unit[0]
+    return 2 * spp + 30.0 if is_first_seed(subject, unit) else spp + 6.0
+
+
+def is_first_seed(subject: Subject, unit: Unit) -> bool:
+    """Whether a unit is the first of its spp: the one that costs are taken at."""
+    spp, seed = unit
+    return seed == min(s for p, s in subject.units() if p == spp)
 
 
 def measure(
@@ -180,17 +187,18 @@ def measure_scene(job: Job, send: Send) -> None:
         bar = lambda done, title=title: send(Progress(0, f"{title}, {done:.0%}"))  # noqa: E731
         references.append(subject.reference(frame, bar))
     scale = shared_exposure(references)
+    known = Known()
     for unit, names in job.todo.items():
         spp, seed = unit
         send(Progress(0, f"{subject.name}: {spp} spp, seed {seed}"))
         chosen = {name: loaded[name] for name in names if name in loaded}
         try:
-            for measurement in measure_unit(job, unit, chosen, references, scale, send):
+            for measurement in measure_unit(job, unit, chosen, references, scale, known, send):
                 send(measurement)
         except Exception as error:
             send(Problem(f"{subject.name}, {spp} spp, seed {seed}", _words(error)))
         gc.collect()
-        send(Progress(work(unit), f"{subject.name}: {spp} spp, seed {seed}"))
+        send(Progress(work(subject, unit), f"{subject.name}: {spp} spp, seed {seed}"))
 
 
 def _load(job: Job, send: Send) -> dict[str, tuple[Candidate, Run]]:
@@ -211,25 +219,27 @@ def measure_unit(
     chosen: dict[str, tuple[Candidate, Run]],
     references: Sequence[Reference],
     scale: float,
+    known: Known,
     send: Send,
 ) -> Any:
     """All frames of one spp and seed; yields a Measurement for each method that got through."""
     subject, (spp, seed) = job.subject, unit
     described = any(candidate.reads_paths for candidate, _ in chosen.values())
+    first_seed = is_first_seed(subject, unit)
     contest: Contest | None = None
 
     def complain(name: str, error: Exception) -> None:
         send(Problem(f"{subject.name}, {spp} spp, seed {seed}, {name}", _words(error)))
 
     for frame, reference in enumerate(references):
-        shot = subject.shoot(frame, spp, seed, described, reference.size)
+        shot = subject.shoot(frame, spp, seed, described, reference.size, first_seed)
         if contest is None:
             color = np.ascontiguousarray(shot.buffers["color"])
             exposure = auto_exposure(color) if len(references) > 1 else None
             rounds = subject.options.rounds
-            contest = Contest(chosen, scale=scale, exposure=exposure, rounds=rounds, complain=complain)
-        images = contest.add(shot, reference, seed == min(s for p, s in subject.units() if p == spp))
-        if frame == len(references) // 2 and seed == min(s for p, s in subject.units() if p == spp):
+            contest = Contest(chosen, scale=scale, exposure=exposure, rounds=rounds, known=known, complain=complain)
+        images = contest.add(shot, reference, first_seed)
+        if first_seed and frame == len(references) // 2:
             keep_pictures(job.pictures / subject.name, spp, images, reference, scale)
     width, height = references[0].size
     own = [reference.own_error for reference in references]

@@ -41,7 +41,8 @@ class Measurement:
     smape: float
     ssim: float
     flip: float
-    render_ms: list[float]  # every timed run; with descriptors where the method reads them; empty: not known
+    # Every timed run; with descriptors where the method reads them, without at the first seed only. Empty: none known.
+    render_ms: list[float]
     denoise_ms: list[float]  # every timed run after a warm-up; empty for the noisy picture
     rell2_paper: float | None = None
     flicker: float | None = None  # of sequences of three frames and more
@@ -79,6 +80,19 @@ def in_turns(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> dict[Any, l
     return took
 
 
+SLOW_MS = 2000  # what takes longer is timed once per seed: its spread is small, and its time is not
+
+Size = tuple[str, frozenset[tuple[int, ...]]]  # a candidate, the shapes of its inputs
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a process has found out of candidates on inputs of a size, and need not find out again."""
+
+    cold: dict[Size, tuple[float, float]] = field(default_factory=dict)  # what cold.measure told
+    warm: set[Size] = field(default_factory=set)  # they have run before
+
+
 class Contest:
     """Candidates on the frames of one scene at one spp and seed: all see the same noisy frames."""
 
@@ -89,41 +103,69 @@ class Contest:
         scale: float,
         exposure: float | None,
         rounds: int,
+        known: Known,
         complain: Callable[[str, Exception], None],
     ) -> None:
         """`scale`: the metrics' exposure; `exposure`: what all frames of a sequence are denoised with.
+
+        Each frame has `rounds` timed runs at the first seed, one later; the first on inputs of a size is a warm-up and
+        does not count. `known` is shared by the contests of a scene.
 
         A candidate that fails is named to `complain` and left out.
         """
         self._candidates = dict(candidates)
         self._scale, self._exposure, self._rounds, self._complain = scale, exposure, rounds, complain
+        self._known = known
         self._tallies = {name: _Tally(scale) for name in candidates}
 
     def add(self, shot: Shot, reference: Reference, first_seed: bool) -> dict[str, Image]:
         """Denoise, measure and time one frame; returns the pictures by candidate."""
-        calls: dict[str, Callable[[], Image]] = {}
         images: dict[str, Image] = {}
+        calls: dict[str, Callable[[], Image]] = {}
         for name, (candidate, run) in list(self._candidates.items()):
             tally = self._tallies[name]
             read = {buffer: shot.buffers[buffer] for buffer in candidate.reads & shot.buffers.keys()}
+            size = name, frozenset(buffer.shape for buffer in read.values())
             call = lambda run=run, read=read: run(read, self._exposure)  # noqa: E731
             try:
                 if first_seed and name != NOISY and tally.cold is None:
-                    tally.cold = cold.measure(candidate, read)  # first: a process of its own may die of memory
+                    if size not in self._known.cold:  # first: a process of its own may die of memory
+                        self._known.cold[size] = cold.measure(candidate, read)
+                    tally.cold = self._known.cold[size]
+                start = perf_counter()
                 images[name] = call()
-                tally.add(images[name], reference)
+                took = 1000 * (perf_counter() - start)
             except Exception as error:  # whatever a method raises is its own failure, not the bench's
-                self._candidates.pop(name)
-                self._tallies.pop(name)
-                images.pop(name, None)
-                self._complain(name, error)
+                self._drop(name, error)
                 continue
             tally.render_ms.append(shot.described_ms if candidate.reads_paths else shot.plain_ms)
             if name != NOISY:
+                tally.denoise_ms.append([took] if size in self._known.warm else [])
+                self._known.warm.add(size)
                 calls[name] = call
-        for name, took in in_turns(calls, self._rounds).items():
-            self._tallies[name].denoise_ms.append(took)
+        self._time(calls, self._rounds if first_seed else 1)
+        for name, image in list(images.items()):
+            try:
+                self._tallies[name].add(image, reference)
+            except Exception as error:
+                self._drop(name, error)
+                del images[name]
         return images
+
+    def _time(self, calls: Mapping[str, Callable[[], Image]], rounds: int) -> None:
+        """Run each in turn until it was timed so often; once is enough for those that turn out to be slow."""
+        taken = {name: self._tallies[name].denoise_ms[-1] for name in calls}
+        while missing := {
+            name: call
+            for name, call in calls.items()
+            if len(taken[name]) < (rounds if max(taken[name], default=0) < SLOW_MS else 1)
+        }:
+            for name, took in in_turns(missing, 1).items():
+                taken[name] += took
+
+    def _drop(self, name: str, error: Exception) -> None:
+        del self._candidates[name], self._tallies[name]
+        self._complain(name, error)
 
     def results(self) -> Iterator[tuple[Candidate, dict[str, Any]]]:
         """Errors and times of every candidate that got through, by Measurement's names."""

@@ -16,12 +16,11 @@ from pathfold.channels import samples
 from pathfold.images import ImageError, ImageFile
 from pathfold.rendering import Camera
 from pathfold.report import reference as references
-from pathfold.report.measure import Buffers, Shot, in_turns
+from pathfold.report.measure import SLOW_MS, Buffers, Shot, in_turns
 from pathfold.report.reference import Reference
 
 VARIANT = "llvm_ad_rgb"
 DEEPEST, DEPTH = 64, 16  # a scene whose paths may be longer than DEEPEST is traced to DEPTH
-SLOW_MS = 5000  # a rendering that takes longer is timed once per seed
 _NUMBERED = re.compile(r"(.+)\.(\d+)$")
 
 Bar = Callable[[float], None]
@@ -35,7 +34,7 @@ class Options:
     seeds: int = 3
     reference_spp: int = 4096  # of references that have to be rendered, at most
     reference_seconds: float = 600
-    rounds: int = 2  # timed runs of each frame; with three seeds and the warm-ups, six
+    rounds: int = 3  # timed runs of each frame at the first seed; later ones add one each: with three seeds five
     references: Path = Path()  # folder for rendered references
 
 
@@ -102,8 +101,11 @@ class MitsubaSubject:
         path = numbered if self.frames > 1 else self.path.with_name("reference.exr")
         return Reference.read(path) if path.is_file() else None
 
-    def shoot(self, frame: int, spp: int, seed: int, described: bool, size: tuple[int, int]) -> Shot:
-        """Render a frame, with and without descriptors in turn where `described`; equal arguments, equal frames."""
+    def shoot(self, frame: int, spp: int, seed: int, described: bool, size: tuple[int, int], first_seed: bool) -> Shot:
+        """Render a frame, with descriptors where `described`; equal arguments, equal frames.
+
+        At the first seed without them too, in turn: only for the time that it takes.
+        """
         self._camera.use(frame, size)
         if not self._warm:
             for kind in (False, described):
@@ -115,13 +117,13 @@ class MitsubaSubject:
             pictures.clear()  # one block of samples at a time
             pictures[kind] = self._trace(spp, seed, kind)
 
-        kinds = [False, True] if described else [False]
+        kinds = [False, True] if described and first_seed else [described]
         calls: dict[bool, Callable[[], None]] = {kind: lambda kind=kind: call(kind) for kind in kinds}  # type: ignore[misc]
         took = in_turns(calls, 1)
-        if max(took[kinds[-1]]) < SLOW_MS:
+        if first_seed and max(took[described]) < SLOW_MS:
             for kind, more in in_turns(calls, self.options.rounds - 1).items():
                 took[kind] += more
-        return Shot(pictures[kinds[-1]], took[False], took.get(True, []))
+        return Shot(pictures[described], took.get(False, []), took.get(True, []))
 
     _warm = False
 
@@ -189,7 +191,7 @@ class PictureSubject:
                 return Reference.read(self.folder / name)
         raise SubjectError(f"{self.folder}: has no {' nor '.join(names)}")
 
-    def shoot(self, frame: int, spp: int, seed: int, described: bool, size: tuple[int, int]) -> Shot:
+    def shoot(self, frame: int, spp: int, seed: int, described: bool, size: tuple[int, int], first_seed: bool) -> Shot:
         """Read a frame; its time is what the header tells, the same with descriptors and without."""
         file = ImageFile(self._sequences[spp, seed][frame])
         found = channels.match(file)[0]
