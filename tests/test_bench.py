@@ -19,7 +19,7 @@ pytest.importorskip("pyoidn")
 from pathfold import metrics
 from pathfold.cli import app, console
 from pathfold.images import ImageError
-from pathfold.report import answers, bench, candidates, cold, curves, results, subjects, summary
+from pathfold.report import answers, bench, candidates, cold, curves, prediction, results, subjects, summary
 from pathfold.report.measure import Measurement, in_turns
 from pathfold.report.reference import Reference
 
@@ -225,8 +225,10 @@ def test_a_scene_is_measured_and_what_is_measured_is_kept(run, tmp_path: Path) -
     rell2 = {(r["spp"], r["seed"]): r["rell2"] for r in first if r["method"] == "noisy"}
     assert rell2[2, 0] < rell2[1, 0] and rell2[1, 0] != rell2[1, 1]
     names = {path.name for path in out.iterdir()}
-    assert names == {"results.jsonl", "table.md", "index.html", "plots", "pictures", "references"}
+    assert names == {"results.jsonl", "table.md", "index.html", "curves.json", "plots", "pictures", "references"}
     assert {path.name for path in (out / "plots").iterdir()} == {"tiny.png", "tiny.svg"}
+    planned_from = prediction.read(out / "curves.json")
+    assert {(s.spp, s.method) for s in planned_from} == {(r["spp"], r["method"]) for r in first}
     page = (out / "index.html").read_text()
     assert "http://www.w3.org/2000/svg" in page  # the only address, a name that nothing is fetched from
     assert page.count("http") == 1 and len(page) < 4_000_000 and "data:image/jpeg;base64," in page

@@ -17,6 +17,7 @@ from pathfold.cli.check import check
 from pathfold.cli.compare import compare
 from pathfold.cli.denoise import denoise
 from pathfold.cli.info import info
+from pathfold.cli.plan import plan
 from pathfold.cli.render import render
 
 app = typer.Typer(
@@ -26,7 +27,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 done, 1 failed, 2 usage, 3 input, 4 model or package, 5 output, 130 interrupted.",
 )
-for command in (denoise, render, info, compare, bench, check):
+for command in (denoise, render, info, compare, bench, plan, check):
     app.command(no_args_is_help=command not in (info, check))(command)
 
 

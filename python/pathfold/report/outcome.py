@@ -1,10 +1,10 @@
-"""What a bench leaves behind for people: table.md, plots/, index.html, all made from its measurements."""
+"""What a bench leaves behind for people and `plan`: table.md, plots/, index.html, curves.json."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from pathfold.images import replacing
-from pathfold.report import benchpage, plots, summary
+from pathfold.report import benchpage, plots, prediction, summary
 from pathfold.report.answers import Answer, answers
 from pathfold.report.bench import Problem
 from pathfold.report.measure import Measurement
@@ -14,7 +14,7 @@ from pathfold.report.results import ALL, Point, names, over_scenes, points
 def write(
     out: Path, measurements: Sequence[Measurement], problems: Sequence[Problem], command: str, pictures: Path
 ) -> None:
-    """Write all three into `out`; `command` is what made them, `pictures` where bench.keep_pictures put its files."""
+    """Write all of them into `out`; `command` is what made them, `pictures` where bench.keep_pictures put its files."""
     scenes = names(measurements, "scene")
     at, means = points(measurements), over_scenes(measurements) if len(scenes) > 1 else []
     own = {m.scene: m.reference_rell2 for m in measurements}
@@ -23,6 +23,7 @@ def write(
     facts = facts_of(measurements, command)
     lead = headline(means or at, len(scenes))
     plots.save(out / "plots", means, at, own)
+    prediction.save(out / prediction.FILE, prediction.samples(measurements))
     tables = summary.markdown(summary.by_method(measurements))
     markdown = [f"# Error against run time\n\n{lead}\n", *(_section(answer) for answer in told)]
     markdown.append(f"## Methods, {'means over scenes' if means else scenes[0]}\n\n{tables}")

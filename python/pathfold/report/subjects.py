@@ -68,6 +68,11 @@ class MitsubaSubject:
     def frames(self) -> int:
         return len(self._camera.scene.sensors())
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the picture that is rendered: the film's, until `shoot` is told another."""
+        return self._camera.size
+
     @cached_property
     def _max_depth(self) -> int:
         """The reference's, else that of the scene's integrator."""

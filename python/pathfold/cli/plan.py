@@ -1,0 +1,203 @@
+"""`pathfold plan`: which spp and which method reach an error at the least cost, or the least error in a time."""
+
+import json
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pathfold.cli import console
+from pathfold.cli.console import InputError
+from pathfold.cli.render import parse_size
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from pathfold.report.plan import Choice, Plan
+    from pathfold.report.prediction import Estimate, Prediction, Sample
+
+WIDTH = 100  # where the output is no terminal
+
+
+def positive(value: float | None) -> float | None:
+    if value is not None and not 0 < value < float("inf"):
+        raise typer.BadParameter(f"{value:g} is not > 0 and finite")
+    return value
+
+
+def plan(
+    scene: Annotated[Path | None, typer.Argument(metavar="SCENE.xml", help="A Mitsuba 3 scene.")] = None,
+    error: Annotated[
+        float | None, typer.Option(metavar="E", callback=positive, help="Reach this RelL2 in the least time.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(metavar="T", callback=positive, help="The least error in this time.")
+    ] = None,
+    measurements: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="What `bench` wrote: its folder, or a file of it. Default: ours."),
+    ] = None,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Instead of the film's own size.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="No scene: predict each measured one from the others.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Tell the spp, method and engine to render a scene with, from a small rendering of it and from measured scenes.
+
+    Without --error and --seconds: all that no other beats in both.
+    """
+    from pathfold.report import plan as planning
+    from pathfold.report import plancheck
+
+    if check == (scene is not None):
+        raise typer.BadParameter("either name a SCENE.xml to plan for, or give --check and no scene")
+    if error is not None and seconds is not None:
+        raise typer.BadParameter("give --error or --seconds, not both")
+    measured = load(measurements)
+    if check:
+        for line in plancheck.markdown(measured).splitlines():
+            console.say(line)
+        return
+    assert scene is not None
+    with console.progress(f"look at {scene.name}", quiet=as_json):
+        found = planning.look(scene, measured, parse_size(size))
+    try:
+        choice = target(found, error, seconds)
+    except planning.PlanError as problem:
+        raise InputError(f"{scene}: {problem}") from problem
+    if as_json:
+        console.say(json.dumps(record(found, choice)))
+    else:
+        show(scene, found, choice)
+
+
+def load(path: Path | None) -> "list[Sample]":
+    """The measurements to plan from; those that come with the package where none are named."""
+    from pathfold.report import prediction
+
+    shipped = Path(prediction.__file__).with_name(prediction.FILE)
+    if path is None and not shipped.is_file():
+        raise InputError(
+            "no measurements come with this pathfold; name a folder of `pathfold bench`: --measurements DIR"
+        )
+    return prediction.read(path or shipped)
+
+
+def target(found: "Plan", error: float | None, seconds: float | None) -> "Choice":
+    from pathfold.report import plan as planning
+
+    if error is not None:
+        return planning.cheapest(found, error)
+    if seconds is not None:
+        return planning.best(found, seconds)
+    return planning.front(found)
+
+
+def show(scene: Path, found: "Plan", choice: "Choice") -> None:
+    from rich.console import Console
+
+    width, height = found.size
+    console.say(f"{scene}: {width}x{height}; its noise at one sample per pixel is RelL2 {found.noise:.3g}")
+    terminal = Console()
+    terminal = terminal if terminal.is_terminal else Console(width=WIDTH)
+    terminal.print(table(choice))
+    for sentence in words(found, choice):
+        console.say(sentence)
+
+
+def table(choice: "Choice") -> "Table":
+    """A rich table; the chosen row in bold, methods that miss the target dim."""
+    from rich.table import Table
+
+    made = Table()
+    made.add_column("method", no_wrap=True)
+    made.add_column("engine", no_wrap=True)
+    for title in ("spp", "RelL2", "may be", "seconds", "may be"):
+        made.add_column(title, justify="right", no_wrap=True)
+    made.add_column("")
+    for point in [*choice.reached, *choice.missed]:
+        verdict = "chosen" if point is choice.chosen else "not reached" if point in choice.missed else ""
+        style = {"chosen": "bold", "not reached": "dim"}.get(verdict)
+        costs = [text for value in (point.rell2, point.seconds) for text in (f"{value.value:.3g}", span(value))]
+        made.add_row(console.harmless(point.method), engine(point.method), str(point.spp), *costs, verdict, style=style)
+    return made
+
+
+def span(value: "Estimate") -> str:
+    return f"{value.low:.2g} to {value.high:.2g}" if isfinite(value.factor) else "?"
+
+
+def engine(method: str) -> str:
+    from pathfold.report.candidates import NOISY, PEERS
+
+    return "" if method == NOISY else "OIDN" if method in PEERS else "onnxruntime, CPU"
+
+
+def words(found: "Plan", choice: "Choice") -> list[str]:
+    """The choice, and how sure it is."""
+    said = []
+    chosen, safe = choice.chosen, choice.safe
+    if chosen:
+        way = f"denoise with {chosen.method}" if engine(chosen.method) else "leave it noisy"
+        said.append(
+            f"Render {chosen.spp} spp and {way}: RelL2 about {chosen.rell2.value:.2g} "
+            f"in about {chosen.seconds.value:.2g} s."
+        )
+        if safe:
+            said.append(
+                f"To come down to it at the upper end of the range: {safe.method} at {safe.spp} spp, "
+                f"about {safe.seconds.value:.2g} s."
+            )
+    said.append(sure(chosen or choice.reached[0]))
+    low, high = found.measured_noise
+    if not low <= found.noise <= high:
+        said.append(
+            f"Less sure than that: no measured scene is so {'noisy' if found.noise > high else 'clean'} "
+            f"(RelL2 {low:.2g} to {high:.2g} at one sample per pixel)."
+        )
+    said += [f"Left out: {method}: {why}" for method, why in found.left_out.items()]
+    return said
+
+
+def sure(point: "Prediction") -> str:
+    from pathfold.report.prediction import held
+
+    if not isfinite(point.rell2.factor):
+        return "How sure cannot be told: it takes two measured scenes to predict one from another."
+    return (
+        f"How sure: of {point.scenes} measured scenes, each predicted from the others, {held(point.scenes)} came "
+        f"within a factor of {point.rell2.factor:.2f} of the error and as many within {point.seconds.factor:.2f} of "
+        f"the time of {point.method} there."
+    )
+
+
+def record(found: "Plan", choice: "Choice") -> dict[str, Any]:
+    """A plan as plain data; where a range is not known, it is null."""
+    return {
+        "size": list(found.size),
+        "noise": found.noise,
+        "measured_noise": list(found.measured_noise),
+        "chosen": choice.chosen and point_record(choice.chosen),
+        "safe": choice.safe and point_record(choice.safe),
+        "reached": [point_record(point) for point in choice.reached],
+        "missed": [point_record(point) for point in choice.missed],
+        "left_out": found.left_out,
+    }
+
+
+def point_record(point: "Prediction") -> dict[str, Any]:
+    def ends(value: "Estimate") -> list[float] | None:
+        return [value.low, value.high] if isfinite(value.factor) else None
+
+    return {
+        "method": point.method,
+        "engine": engine(point.method) or None,
+        "spp": point.spp,
+        "rell2": point.rell2.value,
+        "rell2_range": ends(point.rell2),
+        "seconds": point.seconds.value,
+        "seconds_range": ends(point.seconds),
+        "scenes": point.scenes,
+    }
