@@ -15,7 +15,7 @@ from pathfold.report.picture import jpeg
 from pathfold.report.plots import COLORS
 from pathfold.report.results import ALL, FLAG, Point, names
 
-MOST_BYTES = 3_000_000  # of pictures, before base64
+MOST_BYTES = 2_000_000  # of pictures, before base64
 WIDEST = 960  # wider pictures are halved until they fit
 QUALITY, ERROR_QUALITY = 82, 70
 

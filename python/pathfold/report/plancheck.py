@@ -1,12 +1,12 @@
 """How well `plan` predicts: every measured scene from all others, against what was measured there."""
 
 from collections.abc import Callable, Sequence
-from math import exp, log, sqrt
+from math import exp, isfinite, log, sqrt
 from statistics import fmean
 
 from pathfold.images import ImageError
 from pathfold.report import summary
-from pathfold.report.prediction import Prediction, Sample, left_out
+from pathfold.report.prediction import Estimate, Prediction, Sample, left_out
 
 Pair = tuple[Sample, Prediction]
 
@@ -14,11 +14,11 @@ Pair = tuple[Sample, Prediction]
 def markdown(measured: Sequence[Sample]) -> str:
     """Tables: the misses of every method over scenes and spp; predicted and measured, scene by scene at one spp.
 
-    Raises ImageError where fewer than two scenes, or one spp only, were measured.
+    Raises ImageError where fewer than two scenes were measured.
     """
     pairs = left_out(measured)
     if not pairs:
-        raise ImageError("to predict one scene from another takes two scenes and two spp at least; bench more")
+        raise ImageError("to predict one scene from another takes two scenes that were measured at the same spp")
     spps = sorted({s.spp for s, _ in pairs})
     spp = spps[len(spps) // 2]
     scenes = len({s.scene for s, _ in pairs})
@@ -32,24 +32,24 @@ def markdown(measured: Sequence[Sample]) -> str:
         summary.markdown(by_method(pairs)),
         f"RelL2 at {spp} spp, predicted / measured:",
         summary.markdown(by_scene(at, lambda p: f"{p[1].rell2.value:.3g} / {p[0].rell2:.3g}")),
-        f"Seconds at {spp} spp, predicted / measured:",
-        summary.markdown(by_scene(at, lambda p: f"{p[1].seconds.value:.3g} / {seconds(p[0]):.3g}")),
     ]
+    if spp > spps[0]:
+        parts.append(f"Seconds at {spp} spp, predicted / measured:")
+        parts.append(summary.markdown(by_scene(at, lambda p: f"{p[1].seconds.value:.3g} / {seconds(p[0]):.3g}")))
     return "\n\n".join(part.strip() for part in parts)
 
 
 def by_method(pairs: Sequence[Pair]) -> summary.Table:
     """How far predictions were off, and how often the measured value lay in the range that was told."""
-    head = ["method", "error: typical factor", "worst", "in range", "time: typical factor", "worst", "in range"]
+    lowest = min(s.spp for s, _ in pairs)  # its times are the pilot's, not predicted
     rows = []
     for method in dict.fromkeys(s.method for s, _ in pairs):
         own = [pair for pair in pairs if pair[0].method == method]
-        error = _misses(own, [(p.rell2.value, s.rell2) for s, p in own], [p.rell2.holds(s.rell2) for s, p in own])
-        time = _misses(
-            own, [(p.seconds.value, seconds(s)) for s, p in own], [p.seconds.holds(seconds(s)) for s, p in own]
-        )
+        error = _misses([(s, p.rell2, s.rell2) for s, p in own])
+        time = _misses([(s, p.seconds, seconds(s)) for s, p in own if s.spp > lowest])
         rows.append([method, *error, *time])
-    return [head, *rows]
+    head = ["method", "error: typical factor", "worst", "in range", "time: typical factor", "worst", "in range"]
+    return summary.drop_empty([head, *rows])
 
 
 def by_scene(pairs: Sequence[Pair], cell: Callable[[Pair], str]) -> summary.Table:
@@ -64,10 +64,13 @@ def seconds(sample: Sample) -> float:
     return (sample.render_ms + sample.denoise_ms) / 1000
 
 
-def _misses(own: Sequence[Pair], values: Sequence[tuple[float, float]], held: Sequence[bool]) -> list[str]:
-    """Typical factor, the worst with its scene and spp, and how many were in range."""
-    logs = [log(predicted / measured) for predicted, measured in values]
-    worst = max(range(len(logs)), key=lambda i: abs(logs[i]))
-    place = f"{own[worst][0].scene}, {own[worst][0].spp} spp"
-    typical = exp(sqrt(fmean(miss**2 for miss in logs)))
-    return [f"{typical:.2f}", f"{exp(abs(logs[worst])):.2f} ({place})", f"{sum(held)} of {len(held)}"]
+def _misses(entries: Sequence[tuple[Sample, Estimate, float]]) -> list[str]:
+    """Of predicted and measured values: the typical factor, the worst with its scene and spp, how many in range."""
+    if not entries:
+        return ["", "", ""]
+    misses = [(abs(log(told.value / measured)), f"{s.scene}, {s.spp} spp") for s, told, measured in entries]
+    worst, place = max(misses)
+    ranged = [told.holds(measured) for _, told, measured in entries if isfinite(told.factor)]
+    typical = exp(sqrt(fmean(miss**2 for miss, _ in misses)))
+    inside = f"{sum(ranged)} of {len(ranged)}" if ranged else "no range"
+    return [f"{typical:.2f}", f"{exp(worst):.2f} ({place})", inside]

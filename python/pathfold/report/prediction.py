@@ -160,7 +160,10 @@ def between(curve: Sequence[Prediction], spp: int) -> Prediction:
 
 
 def left_out(measured: Sequence[Sample]) -> list[tuple[Sample, Prediction]]:
-    """Each scene predicted from all others, its own lowest spp the pilot: (measured, predicted) above that spp."""
+    """Each scene predicted from all others, its own lowest spp the pilot: (measured, predicted).
+
+    At that spp itself the time is no prediction, but what the pilot tells.
+    """
     pairs = []
     for scene in dict.fromkeys(s.scene for s in measured):
         own = [s for s in measured if s.scene == scene]
@@ -174,7 +177,7 @@ def left_out(measured: Sequence[Sample]) -> list[tuple[Sample, Prediction]]:
             {method: s.render_ms for method, s in first.items()},
             {method: s.denoise_ms for method, s in first.items()},
         )
-        found = {(s.method, s.spp): s for s in own if s.spp > lowest}
+        found = {(s.method, s.spp): s for s in own}
         for curve in predict([s for s in measured if s.scene != scene], pilot):
             pairs += [(found[p.method, p.spp], p) for p in curve if (p.method, p.spp) in found]
     return pairs
