@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathfold.report.prediction import Estimate, Prediction, Sample
 
 WIDTH = 100  # where the output is no terminal
+MARKS = (("\N{RIGHTWARDS ARROW}", "bold"), ("\N{MULTIPLICATION SIGN}", "dim"))
 
 
 def positive(value: float | None) -> float | None:
@@ -108,31 +109,37 @@ def show(scene: Path, found: "Plan", choice: "Choice") -> None:
 
 
 def table(choice: "Choice") -> "Table":
-    """A rich table; the chosen row in bold, methods that miss the target dim."""
+    """A rich table; the chosen row in bold with an arrow, methods that miss the target dim with a cross."""
+    from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    made = Table()
-    made.add_column("method", no_wrap=True)
-    made.add_column("engine", no_wrap=True)
+    made = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for title in ("", "method", "engine"):
+        made.add_column(title, no_wrap=True)
     for title in ("spp", "RelL2", "may be", "seconds", "may be"):
         made.add_column(title, justify="right", no_wrap=True)
-    made.add_column("")
     for point in [*choice.reached, *choice.missed]:
-        verdict = "chosen" if point is choice.chosen else "not reached" if point in choice.missed else ""
-        style = {"chosen": "bold", "not reached": "dim"}.get(verdict)
-        costs = [text for value in (point.rell2, point.seconds) for text in (f"{value.value:.3g}", span(value))]
-        made.add_row(console.harmless(point.method), engine(point.method), str(point.spp), *costs, verdict, style=style)
+        mark, style = MARKS[0] if point is choice.chosen else MARKS[1] if point in choice.missed else ("", None)
+        costs = [text for value in (point.rell2, point.seconds) for text in (figure(value.value, 3), span(value))]
+        made.add_row(mark, console.harmless(point.method), engine(point.method), str(point.spp), *costs, style=style)
+    if choice.missed:
+        made.caption, made.caption_justify = f"{MARKS[1][0]} misses the target; its nearest", "left"
     return made
 
 
 def span(value: "Estimate") -> str:
-    return f"{value.low:.2g} to {value.high:.2g}" if isfinite(value.factor) else "?"
+    return f"{figure(value.low)} to {figure(value.high)}" if isfinite(value.factor) else "?"
+
+
+def figure(value: float, digits: int = 2) -> str:
+    """So many digits, and no exponent where the number is large."""
+    return f"{value:,.0f}" if value >= 10**digits else f"{value:.{digits}g}"
 
 
 def engine(method: str) -> str:
     from pathfold.report.candidates import NOISY, PEERS
 
-    return "" if method == NOISY else "OIDN" if method in PEERS else "onnxruntime, CPU"
+    return "" if method == NOISY else "OIDN" if method in PEERS else "onnxruntime"
 
 
 def words(found: "Plan", choice: "Choice") -> list[str]:
@@ -142,15 +149,15 @@ def words(found: "Plan", choice: "Choice") -> list[str]:
     if chosen:
         way = f"denoise with {chosen.method}" if engine(chosen.method) else "leave it noisy"
         said.append(
-            f"Render {chosen.spp} spp and {way}: RelL2 about {chosen.rell2.value:.2g} "
-            f"in about {chosen.seconds.value:.2g} s."
+            f"Render {chosen.spp} spp and {way}: RelL2 about {figure(chosen.rell2.value)} "
+            f"in about {figure(chosen.seconds.value)} s."
         )
         if safe:
             said.append(
-                f"To come down to it at the upper end of the range: {safe.method} at {safe.spp} spp, "
-                f"about {safe.seconds.value:.2g} s."
+                f"To stay below it at the upper end of the range: {safe.method} at {safe.spp} spp, "
+                f"about {figure(safe.seconds.value)} s."
             )
-    said.append(sure(chosen or choice.reached[0]))
+    said.append(sure(chosen or choice.reached[-1]))
     low, high = found.measured_noise
     if not low <= found.noise <= high:
         said.append(
@@ -169,7 +176,7 @@ def sure(point: "Prediction") -> str:
     return (
         f"How sure: of {point.scenes} measured scenes, each predicted from the others, {held(point.scenes)} came "
         f"within a factor of {point.rell2.factor:.2f} of the error and as many within {point.seconds.factor:.2f} of "
-        f"the time of {point.method} there."
+        f"the time of {point.method} at such an spp."
     )
 
 

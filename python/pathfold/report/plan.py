@@ -77,7 +77,9 @@ def cheapest(plan: Plan, error: float) -> Choice:
 
     Raises PlanError where none does.
     """
-    reached, missed, safe = [], [], []
+    reached: list[Prediction] = []
+    missed: list[Prediction] = []
+    safe: list[Prediction] = []
     for curve in plan.curves:
         levels = _every_spp(curve)
         enough = [p for p in levels if p.rell2.value <= error]
@@ -157,6 +159,6 @@ def _denoise(
             left_out[method] = " ".join(str(error).split())
             continue
         if method != NOISY:
-            calls[method] = lambda run=run, read=read: run(read, None)  # type: ignore[misc]
+            calls[method] = lambda run=run, read=read: run(read, None)
     took = {method: median(runs) for method, runs in in_turns(calls, ROUNDS).items()}
     return images, {NOISY: 0.0, **took}
