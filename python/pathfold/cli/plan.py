@@ -62,9 +62,10 @@ def plan(
             console.say(line)
         return
     assert scene is not None
-    with console.progress(f"look at {scene.name}", quiet=as_json):
-        found = planning.look(scene, measured, parse_size(size))
+    film = parse_size(size)
     try:
+        with console.progress(f"look at {scene.name}", quiet=as_json):
+            found = planning.look(scene, measured, film)
         choice = target(found, error, seconds)
     except planning.PlanError as problem:
         raise InputError(f"{scene}: {problem}") from problem
