@@ -41,7 +41,8 @@ class Result:
 class Denoiser:
     """A model that is loaded and ready; keep it for repeated frames.
 
-    `model` is a name (`pathfold.models.available()`) or a folder. `provider` names the onnxruntime execution
+    `model` is a name (`pathfold.models.available()`), a folder, or the `model` of another Denoiser, which they then
+    share (with its `provider` and `threads`). `provider` names the onnxruntime execution
     provider ("cpu", "cuda", ...); one that is not there is an error, never replaced. `threads` 0 means all
     cores,
     `memory_mb` caps the memory of a run (0: no cap), `tile` forces the tile's side in pixels (0: planned).
@@ -53,7 +54,7 @@ class Denoiser:
 
     def __init__(
         self,
-        model: str | os.PathLike[str] = "kpcn-vanilla",
+        model: str | os.PathLike[str] | _core.Model = "kpcn-vanilla",
         *,
         provider: str = "cpu",
         threads: int = 0,
@@ -62,7 +63,9 @@ class Denoiser:
         leave_out: str = "all",
     ) -> None:
         _point_to_onnxruntime()
-        self.model = _core.Model(os.fspath(models.find(model)), provider=provider, threads=threads)
+        if not isinstance(model, _core.Model):
+            model = _core.Model(os.fspath(models.find(model)), provider=provider, threads=threads)
+        self.model = model
         self._core = _core.Denoiser(self.model, memory_mb=memory_mb, tile=tile, leave_out=leave_out)
 
     def run(
