@@ -163,6 +163,7 @@ class Budget:
                     lines.append(f"gave up larger tiles: with overlap these are {plan.overlapping:.1f} pictures")
                 ready = Denoiser(denoiser.model, tile=plan.edge, **self._options)
                 return Choice(ready, given, plan.seconds, plan.memory_mb, lines)
+            del denoiser  # before the next one is loaded
         ratio, words = min(refused)
         raise failure("unsupported", f"nothing stays inside {self}. Nearest is {words}; give {ratio:.1f} times as much")
 

@@ -3,7 +3,7 @@
 All of it is exact: the denoised picture is the same, but for rounding, as with everything rendered and stored.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold.channels import samples as sample_names
+from pathfold.rendering import Camera
 
 Block = dict[str, NDArray[Any]]
 
@@ -25,6 +26,37 @@ class LeftOut:
 
     def __str__(self) -> str:
         return f"left out {', '.join(sorted(self.names))}: {self.why}"
+
+
+@dataclass
+class LeanFrame:
+    """A frame without what it does not need, and a line for each thing that was left out."""
+
+    buffers: Block
+    samples: Block
+    dropped: int  # samples that were not finite
+    all_light: str  # the part of the radiance that is all of color, where the split was left out; else ""
+    lines: list[str]
+
+
+def trace(
+    camera: Camera,
+    spp: int,
+    seed: int,
+    max_depth: int,
+    rr_depth: int | None,
+    reads: Collection[str],
+    bar: Callable[[float], None],
+) -> LeanFrame:
+    """`Camera.trace` of what a model reads, without what the scene and the frame do not need."""
+    unneeded = of_scene(camera.scene, spp, reads)
+    wanted = set(reads).difference(*(one.names for one in unneeded))
+    buffers, samples, dropped = camera.trace(spp, seed, max_depth, rr_depth, wanted, bar)
+    unneeded += of_frame(buffers)
+    kept = {name: pixels for name, pixels in buffers.items() if not any(name in one.names for one in unneeded)}
+    samples, trimmed = trim_vertices(samples)
+    lines = [str(one) for one in unneeded] + ([trimmed] if trimmed else [])
+    return LeanFrame(kept, samples, dropped, "".join(one.all_light for one in unneeded), lines)
 
 
 def of_scene(scene: Any, spp: int, wanted: Collection[str]) -> list[LeftOut]:

@@ -56,28 +56,19 @@ def render(
     reader = model or for_model
     reads = models.inputs(reader) if reader else models.shipped_inputs()
     camera = Camera(scene, variant, sensor, parse_size(size))
-    unneeded = needs.of_scene(camera.scene, spp, reads) if auto else []
-    wanted = reads.difference(*(one.names for one in unneeded))
     with console.progress(f"render {scene.name}", quiet) as bar:
         start = perf_counter()
-        buffers, samples, dropped = camera.trace(spp, seed, max_depth, rr_depth, wanted, bar)
+        settings = (spp, seed, max_depth, rr_depth, reads, bar)
+        frame = needs.trace(camera, *settings) if auto else needs.LeanFrame(*camera.trace(*settings), "", [])
         seconds = perf_counter() - start
-    trimmed = ""
-    if auto:
-        unneeded += needs.of_frame(buffers)
-        samples, trimmed = needs.trim_vertices(samples)
-    all_light = "".join(one.all_light for one in unneeded)
-    buffers = {name: pixels for name, pixels in buffers.items() if not any(name in one.names for one in unneeded)}
+    buffers, samples, all_light = frame.buffers, frame.samples, frame.all_light
     if not quiet:
         width, height = camera.size
         console.say(f"{scene}: {width}x{height}, {spp} spp, {seconds:.2f} s")
-        if dropped:
-            console.say(f"  mended: {dropped} samples were not finite and are left out")
-        for line in (*map(str, unneeded), trimmed):
-            if line:
-                console.say(f"  {line}")
-        if auto and not unneeded and not trimmed:
-            console.say("  left out nothing: the frame needs all that the model reads")
+        if frame.dropped:
+            console.say(f"  mended: {frame.dropped} samples were not finite and are left out")
+        for line in frame.lines or (["left out nothing: the model reads all, and the frame needs it"] if auto else []):
+            console.say(f"  {line}")
     if denoiser:
         with console.progress(denoiser.model.name, quiet) as bar:
             blocks = {f"samples.{name}": block for name, block in samples.items()}
