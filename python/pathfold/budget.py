@@ -169,9 +169,10 @@ class Budget:
 
     def _candidates(self, buffers: Buffers) -> list[Candidate]:
         found = []
+        given = buffers.keys() | ({"color"} if {"diffuse", "specular"} <= buffers.keys() else set())
         for name in self.models:
             manifest = models.manifest(name)
-            if not set(manifest["requires"]) <= buffers.keys():
+            if not set(manifest["requires"]) <= given:
                 continue
             optional = "samples.descriptor" in manifest["uses"] and "samples.descriptor" in buffers
             found += [Candidate(name, paths) for paths in ((True, False) if optional else (None,))]
@@ -182,7 +183,7 @@ class Budget:
 
     def _plan(self, cost: Cost, tiling: Tiling, buffers: Buffers, later_mb: float) -> Plan:
         """The largest tiles that the memory allows, or the smallest ones if none are small enough."""
-        height, width = buffers["color"].shape[:2]
+        height, width = buffers["color" if "color" in buffers else "diffuse"].shape[:2]
         held = memory.in_use() + later_mb + width * height * _frame_bytes(buffers) / memory.MEBIBYTE
         most = ceil(max(width, height) / tiling.alignment)
         for parts in range(1, most + 1):

@@ -153,17 +153,48 @@ class Denoiser:
 
 
 def denoise(
-    color: Array | None = None, *, model: str | os.PathLike[str] | Denoiser = "kpcn-vanilla", **buffers: Any
+    color: Array | None = None,
+    *,
+    model: str | os.PathLike[str] | Denoiser | None = None,
+    seconds: float | None = None,
+    memory_mb: float | None = None,
+    **buffers: Any,
 ) -> NDArray[np.float32]:
     """Denoise one frame and return its colour, height x width x 3, float32.
 
-    `model` is a name, a folder or a `Denoiser`; everything else is what `Denoiser.run` takes: `albedo`,
-    `normal`,
-    `depth`, `diffuse`, `specular`, `diffuse_albedo`, `variance`, `samples`, `exposure`, ... Loaded models
-    are kept. Raises PathfoldError.
+    `model` is a name, a folder or a `Denoiser` (None: kpcn-vanilla); everything else is what `Denoiser.run` takes:
+    `albedo`, `normal`, `depth`, `diffuse`, `specular`, `diffuse_albedo`, `variance`, `samples`, `exposure`, ...
+    Loaded models are kept. With `seconds` or `memory_mb` a `pathfold.Budget` chooses among the shipped models, or how
+    to run the one that is named. Raises PathfoldError.
     """
-    denoiser = model if isinstance(model, Denoiser) else _denoiser(models.find(model).resolve())
+    if seconds is not None or memory_mb is not None:
+        return _denoise_within(seconds, memory_mb, model, {"color": color, **buffers})
+    denoiser = model if isinstance(model, Denoiser) else _denoiser(models.find(model or "kpcn-vanilla").resolve())
     return denoiser.run(color, **buffers).color
+
+
+def _denoise_within(
+    seconds: float | None,
+    memory_mb: float | None,
+    model: str | os.PathLike[str] | Denoiser | None,
+    given: dict[str, Any],
+) -> NDArray[np.float32]:
+    from pathfold.budget import Budget
+
+    if isinstance(model, Denoiser):
+        raise failure("invalid-argument", "model is a Denoiser, which has its tiles already; name the model instead")
+    settings = {name: given.pop(name) for name in ("layers", "exposure", "progress") if name in given}
+    count = given.pop("samples_per_pixel", 0)
+    blocks = _mapping("samples", given.pop("samples", None), _SAMPLES)
+    named = {name.replace("_", "."): value for name, value in given.items()}
+    named |= {f"samples.{name}": value for name, value in blocks.items()}
+    arrays = {name: as_array(name, value) for name, value in named.items() if value is not None}
+    for name, pixels in arrays.items():
+        if pixels.ndim == (3 if name.startswith("samples.") else 2):  # one channel may come without its axis
+            arrays[name] = pixels[..., None]
+    budget = Budget(seconds, memory_mb, None if model is None else os.fspath(model))
+    choice = budget.choose(arrays, samples_per_pixel=count)
+    return choice.run(samples_per_pixel=count, **settings).color
 
 
 def auto_exposure(color: Array) -> float:
