@@ -211,8 +211,8 @@ def test_render(run, tmp_path: Path) -> None:
     kinds = dict(zip(file.parts[1].channelnames, map(str, file.parts[1].channelformats), strict=True))
     assert kinds["samples.000.path.density"] == "float" and kinds["samples.000.path.tag.0"] == "half"
 
-    # A path of depth 4 has at most 4 vertices; the others are not written.
-    assert "samples.000.path.tag.3" in kinds and "samples.000.path.tag.4" not in kinds
+    # A path of depth 4 has at most 3 vertices; the others are not written.
+    assert "samples.000.path.tag.2" in kinds and "samples.000.path.tag.3" not in kinds
 
     # Through the file or straight through memory: the same pixels.
     assert run("denoise", tmp_path / "noisy.exr", "-o", tmp_path / "a.exr", "-m", "samples-5")[0] == 0

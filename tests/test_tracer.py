@@ -217,6 +217,7 @@ def test_reduce_drops_and_counts_what_is_not_finite(scene: Any) -> None:
         ({"max_depth": 0}, "max_depth is 0"),
         ({"max_depth": -1}, "together with rr_depth"),
         ({"spp": 10**6}, "lower spp"),
+        ({"leave_out": ["color"]}, "leave_out names color; it may name albedo, alpha"),
     ],
 )
 def test_arguments_out_of_range_are_named(scene: Any, arguments: dict[str, int], words: str) -> None:
@@ -242,12 +243,25 @@ def test_other_objects_and_variants_are_named(scene: Any) -> None:
 
 
 @only(scenes.glassware)
+def test_what_is_left_out_changes_nothing_else(scene: Any) -> None:
+    whole = trace(scene, spp=2, seed=3)
+    lean = trace(scene, spp=2, seed=3, leave_out={"diffuse", "position", "density"})
+    assert lean.diffuse is None and lean.position is None and lean.density is None
+    assert (lean.radiance == whole.radiance).all() and (lean.descriptor == whole.descriptor).all()
+    means, kept = whole.reduce(), lean.reduce()
+    assert means.keys() - kept.keys() == {"diffuse", "specular", "diffuse.variance", "specular.variance"}
+    assert all(np.array_equal(kept[name], means[name]) for name in kept)
+    assert whole.reduce({"depth"}).keys() == {"color", "depth", "dropped"}
+
+
+@only(scenes.glassware)
 @pytest.mark.parametrize("max_depth", [1, 3])
 def test_no_path_has_more_vertices_than_its_depth_allows(scene: Any, max_depth: int) -> None:
     """So `render` need not write more of them, and what is left out is dead in all samples."""
     whole = trace(scene, spp=2, max_depth=max_depth).descriptor
-    part = trace(scene, spp=2, max_depth=max_depth, vertices=max_depth).descriptor
-    names, kept = samples.descriptor(6), samples.descriptor(max_depth)
+    most = max(1, max_depth - 1)
+    part = trace(scene, spp=2, max_depth=max_depth, vertices=most).descriptor
+    names, kept = samples.descriptor(6), samples.descriptor(most)
     assert whole is not None and part is not None
     assert part.shape[-1] == len(kept)
     for number, name in enumerate(names):

@@ -8,15 +8,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pathfold.budget import Budget
     from pathfold.denoising import Denoiser, PathfoldError, Result, auto_exposure, denoise, version
 
 # Nothing is imported before it is used, so that `import pathfold` costs a few milliseconds.
 _HOMES = dict.fromkeys(
     ("Denoiser", "PathfoldError", "Result", "auto_exposure", "denoise", "version"), "pathfold.denoising"
-)
+) | {"Budget": "pathfold.budget"}
 _MODULES = ("channels", "images", "metrics", "models")
 
-__all__ = ["Denoiser", "PathfoldError", "Result", "auto_exposure", "denoise", "version"]
+__all__ = ["Budget", "Denoiser", "PathfoldError", "Result", "auto_exposure", "denoise", "version"]
 
 
 def __getattr__(name: str) -> Any:

@@ -41,7 +41,8 @@ class Result:
 class Denoiser:
     """A model that is loaded and ready; keep it for repeated frames.
 
-    `model` is a name (`pathfold.models.available()`) or a folder. `provider` names the onnxruntime execution
+    `model` is a name (`pathfold.models.available()`), a folder, or the `model` of another Denoiser, which they then
+    share (with its `provider` and `threads`). `provider` names the onnxruntime execution
     provider ("cpu", "cuda", ...); one that is not there is an error, never replaced. `threads` 0 means all
     cores,
     `memory_mb` caps the memory of a run (0: no cap), `tile` forces the tile's side in pixels (0: planned).
@@ -53,7 +54,7 @@ class Denoiser:
 
     def __init__(
         self,
-        model: str | os.PathLike[str] = "kpcn-vanilla",
+        model: str | os.PathLike[str] | _core.Model = "kpcn-vanilla",
         *,
         provider: str = "cpu",
         threads: int = 0,
@@ -62,7 +63,9 @@ class Denoiser:
         leave_out: str = "all",
     ) -> None:
         _point_to_onnxruntime()
-        self.model = _core.Model(os.fspath(models.find(model)), provider=provider, threads=threads)
+        if not isinstance(model, _core.Model):
+            model = _core.Model(os.fspath(models.find(model)), provider=provider, threads=threads)
+        self.model = model
         self._core = _core.Denoiser(self.model, memory_mb=memory_mb, tile=tile, leave_out=leave_out)
 
     def run(
@@ -150,17 +153,48 @@ class Denoiser:
 
 
 def denoise(
-    color: Array | None = None, *, model: str | os.PathLike[str] | Denoiser = "kpcn-vanilla", **buffers: Any
+    color: Array | None = None,
+    *,
+    model: str | os.PathLike[str] | Denoiser | None = None,
+    seconds: float | None = None,
+    memory_mb: float | None = None,
+    **buffers: Any,
 ) -> NDArray[np.float32]:
     """Denoise one frame and return its colour, height x width x 3, float32.
 
-    `model` is a name, a folder or a `Denoiser`; everything else is what `Denoiser.run` takes: `albedo`,
-    `normal`,
-    `depth`, `diffuse`, `specular`, `diffuse_albedo`, `variance`, `samples`, `exposure`, ... Loaded models
-    are kept. Raises PathfoldError.
+    `model` is a name, a folder or a `Denoiser` (None: kpcn-vanilla); everything else is what `Denoiser.run` takes:
+    `albedo`, `normal`, `depth`, `diffuse`, `specular`, `diffuse_albedo`, `variance`, `samples`, `exposure`, ...
+    Loaded models are kept. With `seconds` or `memory_mb` a `pathfold.Budget` chooses among the shipped models, or how
+    to run the one that is named. Raises PathfoldError.
     """
-    denoiser = model if isinstance(model, Denoiser) else _denoiser(models.find(model).resolve())
+    if seconds is not None or memory_mb is not None:
+        return _denoise_within(seconds, memory_mb, model, {"color": color, **buffers})
+    denoiser = model if isinstance(model, Denoiser) else _denoiser(models.find(model or "kpcn-vanilla").resolve())
     return denoiser.run(color, **buffers).color
+
+
+def _denoise_within(
+    seconds: float | None,
+    memory_mb: float | None,
+    model: str | os.PathLike[str] | Denoiser | None,
+    given: dict[str, Any],
+) -> NDArray[np.float32]:
+    from pathfold.budget import Budget
+
+    if isinstance(model, Denoiser):
+        raise failure("invalid-argument", "model is a Denoiser, which has its tiles already; name the model instead")
+    settings = {name: given.pop(name) for name in ("layers", "exposure", "progress") if name in given}
+    count = given.pop("samples_per_pixel", 0)
+    blocks = _mapping("samples", given.pop("samples", None), _SAMPLES)
+    named = {name.replace("_", "."): value for name, value in given.items()}
+    named |= {f"samples.{name}": value for name, value in blocks.items()}
+    arrays = {name: as_array(name, value) for name, value in named.items() if value is not None}
+    for name, pixels in arrays.items():
+        if pixels.ndim == (3 if name.startswith("samples.") else 2):  # one channel may come without its axis
+            arrays[name] = pixels[..., None]
+    budget = Budget(seconds, memory_mb, None if model is None else os.fspath(model))
+    choice = budget.choose(arrays, samples_per_pixel=count)
+    return choice.run(samples_per_pixel=count, **settings).color
 
 
 def auto_exposure(color: Array) -> float:

@@ -4,12 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pathfold import channels
+from pathfold.budget import Budget
 from pathfold.channels import BUFFERS, Frame, samples
 from pathfold.denoising import Denoiser, Result
 from pathfold.images import ImageError, ImageFile, Layer
@@ -30,12 +32,13 @@ class Denoised:
     frame: Frame
     result: Result
     layers: tuple[str, ...] = ()
+    budget: tuple[str, ...] = ()  # what was chosen to stay inside a budget, and what was given up for it
 
 
 def denoise_file(
     source: Path,
     target: Path,
-    denoiser: Denoiser,
+    denoiser: Denoiser | Budget,
     *,
     mapping: Mapping[str, str] | None = None,
     layers: Sequence[str] = (),
@@ -48,15 +51,31 @@ def denoise_file(
 
     `mapping` names layers for buffers, `layers` are patterns of further radiance layers to filter alike,
     `guides` are files that hold the albedo or the normal, `exposures` one factor per frame (or one for all).
+    A Budget in place of a denoiser chooses one; its clock runs from here, and writing counts as much as reading.
     Raises ImageError, OutputError or PathfoldError; the target appears whole or not at all.
     """
+    begin = perf_counter()
     file = open_linear(source)
     frames = channels.match(file, mapping)
     done: list[Denoised] = []
     changed: dict[tuple[int, int], Image] = {}
     for number, (frame, extra) in enumerate(zip(frames, _extra(file, frames, layers), strict=True)):
-        result = denoiser.run_buffers(
-            read(file, frame, denoiser.model.requires, denoiser.model.uses, guides or siblings(source)),
+        lines: list[str] = []
+        if isinstance(denoiser, Budget):
+            buffers = read(file, frame, ["color"], sorted(denoiser.reads), guides or siblings(source))
+            reading = perf_counter() - begin
+            choice = denoiser.choose(
+                buffers,
+                start=begin - reading,
+                samples_per_pixel=_samples_per_pixel(file),
+                later_mb=file.writing_mb(frame.color_layer.part),
+            )
+            ready, buffers, lines = choice.denoiser, dict(choice.buffers), choice.lines
+        else:
+            ready = denoiser
+            buffers = read(file, frame, ready.model.requires, ready.model.uses, guides or siblings(source))
+        result = ready.run_buffers(
+            buffers,
             layers={_key(layer): {"color": file.read(layer.part, at)} for layer, at in extra},
             samples_per_pixel=_samples_per_pixel(file),
             exposure=exposures[min(number, len(exposures) - 1)] if exposures else None,
@@ -65,10 +84,11 @@ def denoise_file(
         changed |= _changes(frame, result)
         for layer, at in extra:
             changed |= _places(layer.part, at, result.layers[_key(layer)])
-        done.append(Denoised(frame, result, tuple(layer.name or "R,G,B" for layer, _ in extra)))
+        done.append(Denoised(frame, result, tuple(layer.name or "R,G,B" for layer, _ in extra), tuple(lines)))
+        begin = perf_counter()
     part = samples.find(file)
     notes = {
-        "pathfold:model": denoiser.model.name,
+        "pathfold:model": done[0].result.report["model"],
         "pathfold:exposure": f"{done[0].result.report['exposure']:.7g}",
     }
     leave_out = [part] if part and not keep_samples else []

@@ -122,6 +122,11 @@ class ImageFile:
             raise ImageError(f"{self.path}: damaged: {_first_line(self._input.geterror())}")
         return pixels
 
+    def writing_mb(self, part: int) -> float:
+        """What `save_as` holds at a time to write a part with changes: its pixels in float, twice, and a bit."""
+        spec = self.parts[part]
+        return 1.2 * 2 * 4 * spec.nchannels * spec.width * spec.height / 2**20
+
     def save_as(
         self,
         path: str | os.PathLike[str],

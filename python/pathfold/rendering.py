@@ -1,7 +1,7 @@
 """Rendering Mitsuba scenes to what models read: per-pixel buffers, and samples with path descriptors."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +69,7 @@ class Camera:
     ) -> tuple[Block, Block, int]:
         """Per-pixel buffers and the block of samples, those that are wanted, and the number of samples dropped.
 
+        What is not wanted is not made; a path of `max_depth` scatters one time less, and so many vertices it gets.
         The picture is traced in bands of rows, so that memory goes with the block and not with what Mitsuba holds.
         """
         from pathfold.mitsuba import trace
@@ -76,7 +77,9 @@ class Camera:
         width, height = self.size
         rows = max(1, min(height, BAND_SAMPLES // (width * spp)))
         described = any(name.startswith("samples.") for name in wanted)
-        vertices = sample_names.VERTICES if max_depth < 0 else min(sample_names.VERTICES, max(max_depth, 1))
+        vertices = sample_names.VERTICES if max_depth < 0 else min(sample_names.VERTICES, max(max_depth - 1, 1))
+        means_of = {name for name in wanted if name in BUFFERS} | {*_BEAUTY}
+        unneeded = unneeded_fields(wanted)
         buffers: Block = {}
         samples: Block = {}
         dropped = 0
@@ -86,14 +89,22 @@ class Camera:
             band_seed = seed if rows == height else int(np.random.SeedSequence((seed, index)).generate_state(1)[0])
             try:
                 band = trace(
-                    self._scene, spp, band_seed, max_depth, self._sensor, described, rr_depth, vertices=vertices
+                    self._scene,
+                    spp,
+                    band_seed,
+                    max_depth,
+                    self._sensor,
+                    described,
+                    rr_depth,
+                    vertices=vertices,
+                    leave_out=unneeded,
                 )
             except (ValueError, TypeError, NotImplementedError) as error:
                 raise SceneError(_last_words(error)) from error
-            means = band.reduce()
+            means = band.reduce(means_of)
             dropped += means.pop("dropped")
             for name, pixels in means.items():
-                if name in wanted or name in _BEAUTY:
+                if name in means_of:
                     whole = buffers.setdefault(name, np.empty((height, *pixels.shape[1:]), np.float32))
                     whole[first:last] = pixels
             pieces = {"descriptor": band.descriptor, "density": band.density}
@@ -112,6 +123,20 @@ class Camera:
         for name, value in values.items():
             self._parameters[f"film.{name}"] = list(value)
         self._parameters.update()
+
+
+def unneeded_fields(wanted: Collection[str]) -> set[str]:
+    """The fields of `pathfold.mitsuba.Samples` that none of the wanted buffers is made from."""
+    made_from = {
+        "diffuse": {"diffuse", "specular", "diffuse.variance", "specular.variance"},
+        "diffuse_albedo": {"diffuse.albedo"},
+        "albedo": {"albedo"},
+        "normal": {"normal"},
+        "depth": {"depth"},
+        "descriptor": {"samples.descriptor"},
+        "density": {"samples.density"},
+    }
+    return {"position", "overlong", *(field for field, names in made_from.items() if not names & {*wanted})}
 
 
 def write(path: Path, buffers: Block, samples: Block, metadata: Mapping[str, str | int | float]) -> None:

@@ -40,6 +40,8 @@ BUFFERS = {
     "diffuse.variance": 3,
     "specular.variance": 3,
 }
+# Header entry: "diffuse" or "specular", the part of the radiance that is all of color; the other part is 0.
+ALL_LIGHT = "pathfold:all_light"
 _SPLIT = ("diffuse", "specular", "diffuse.albedo", "diffuse.variance", "specular.variance")
 # Tried in this order: unmistakable writers first; the last one takes whatever is left.
 _ORDER = ("pathfold", "cycles", "vray", "renderman", "pbrt", "arnold", "mitsuba", "common")
@@ -196,8 +198,31 @@ def _frame(file: ImageFile, preset: Preset, overrides: Mapping[str, str], color:
             if source and all(source.numbers(layer, count) for layer in source.layers):
                 sources.setdefault(name, _check(file, name, source, color))
                 break
+    if told := _all_light(file):
+        sources = {name: source for name, source in _told(told, sources).items() if name not in overrides} | sources
     target = _lookup(file, preset.output["color"], star, color.view) if "color" in preset.output else None
     return Frame(preset, _complete_split(sources), target or color, star)
+
+
+def _all_light(file: ImageFile) -> str:
+    """The part of the radiance that is all of color, where the file's header says so."""
+    said = file.metadata().get(ALL_LIGHT, "")
+    if said not in ("", "diffuse", "specular"):
+        raise ImageError(f"{file.path}: {ALL_LIGHT} is {said!r}; it must be diffuse or specular")
+    return str(said)
+
+
+def _told(all_light: str, sources: Mapping[str, Source]) -> dict[str, Source]:
+    """The buffers of the split that color and variance tell, where `all_light` is all of the radiance."""
+    other = {"diffuse": "specular", "specular": "diffuse"}[all_light]
+    told = {}
+    for whole, suffix in (("color", ""), ("variance", ".variance")):
+        if whole in sources:
+            told[all_light + suffix] = sources[whole]
+            told[other + suffix] = replace(sources[whole], subtract=(sources[whole],))
+    if all_light == "specular":
+        told["diffuse.albedo"] = told["diffuse"]
+    return told
 
 
 def _complete_split(sources: dict[str, Source]) -> dict[str, Source]:

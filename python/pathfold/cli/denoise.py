@@ -13,11 +13,15 @@ from pathfold.cli.console import InputError
 if TYPE_CHECKING:
     from pathfold.channels import Frame
 
+DEFAULT = "kpcn-vanilla"
+
 
 def denoise(
     source: Annotated[Path, typer.Argument(metavar="IN.exr", help="The noisy picture, or frames.####.exr.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.exr", help="Where the result goes.")],
-    model: Annotated[str, typer.Option("-m", "--model", help="A model's name or folder.")] = "kpcn-vanilla",
+    model: Annotated[
+        str | None, typer.Option("-m", "--model", help="A model's name or folder.", show_default=DEFAULT)
+    ] = None,
     mapping: Annotated[
         list[str] | None,
         typer.Option("--map", metavar="BUFFER=LAYER", help="Name a buffer's layer, or none."),
@@ -34,7 +38,12 @@ def denoise(
     ] = None,
     provider: Annotated[str, typer.Option(help="The onnxruntime execution provider.")] = "cpu",
     threads: Annotated[int, typer.Option(min=0, help="Threads; 0: all cores.")] = 0,
-    memory: Annotated[int, typer.Option("--memory", min=0, metavar="MB", help="Cap; 0: none.")] = 0,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", metavar="T", help="Choose model, paths and tiles to be done in T.")
+    ] = None,
+    memory: Annotated[
+        float | None, typer.Option("--memory", metavar="MB", help="Choose them to hold no more than this.")
+    ] = None,
     leave_out: Annotated[
         str,
         typer.Option(
@@ -47,17 +56,23 @@ def denoise(
 ) -> None:
     """Denoise an EXR. Channels are found by the conventions of the common renderers; all others are kept.
 
-    A sequence (frames.####.exr) is denoised frame by frame with the exposure of its first frame.
+    A sequence (frames.####.exr) is denoised frame by frame with the exposure of its first frame. --seconds and --memory
+    choose among the shipped models, or how to run the one of --model, by a trial on a piece of the (first) picture.
     """
     buffers = parse_map(mapping or [])
     pairs = expand(source, output)
+    from pathfold.budget import Budget
     from pathfold.denoising import Denoiser
     from pathfold.files import denoise_file
     from pathfold.images import check_output
 
     for _, clean in pairs:
         check_output(clean)
-    denoiser = Denoiser(model, provider=provider, threads=threads, memory_mb=memory, leave_out=leave_out)
+    denoiser: Denoiser | Budget
+    if seconds is None and memory is None:
+        denoiser = Denoiser(model or DEFAULT, provider=provider, threads=threads, leave_out=leave_out)
+    else:
+        denoiser = Budget(seconds, memory, model, provider=provider, threads=threads, leave_out=leave_out)
     exposures = [] if exposure is None else [exposure]
     for number, (noisy, clean) in enumerate(pairs):
         title = noisy.name if len(pairs) == 1 else f"{noisy.name} ({number + 1}/{len(pairs)})"
@@ -78,6 +93,8 @@ def denoise(
             for one in done:
                 for line in frame_lines(noisy, one.frame) if number == 0 else ():
                     console.say(line)
+                for line in one.budget if number == 0 else ():
+                    console.say(f"  {line}")
                 if one.layers:
                     console.say(f"  filtered alike: {', '.join(one.layers)}")
                 for line in result_lines(one.result.report):

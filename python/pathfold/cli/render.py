@@ -28,6 +28,9 @@ def render(
         str | None,
         typer.Option("--denoise", metavar="MODEL", help="Denoise at once; no samples are written."),
     ] = None,
+    auto: Annotated[
+        bool, typer.Option("--auto", help="Leave out what this scene and frame do not need; the result stays the same.")
+    ] = False,
     exposure: Annotated[
         float | None, typer.Option(callback=console.check_exposure, help="With --denoise: as in `denoise`.")
     ] = None,
@@ -37,9 +40,10 @@ def render(
     """Trace a scene through its own camera and film, and write the buffers and samples that models read.
 
     The first part of the file holds the buffers, the second one (`samples`) the path descriptor of every sample.
-    Without --for it holds whatever any shipped model reads.
+    Without --for it holds whatever any shipped model reads. --auto prints what it leaves out, and why.
     """
-    from pathfold import models, version
+    from pathfold import models, needs, version
+    from pathfold.channels import ALL_LIGHT
     from pathfold.denoising import Denoiser
     from pathfold.images import OutputError, check_output
     from pathfold.rendering import Camera, write
@@ -50,24 +54,29 @@ def render(
     check_output(output)
     denoiser = Denoiser(model) if model else None
     reader = model or for_model
-    wanted = models.inputs(reader) if reader else models.shipped_inputs()
+    reads = models.inputs(reader) if reader else models.shipped_inputs()
     camera = Camera(scene, variant, sensor, parse_size(size))
     with console.progress(f"render {scene.name}", quiet) as bar:
         start = perf_counter()
-        buffers, samples, dropped = camera.trace(spp, seed, max_depth, rr_depth, wanted, bar)
+        settings = (spp, seed, max_depth, rr_depth, reads, bar)
+        frame = needs.trace(camera, *settings) if auto else needs.LeanFrame(*camera.trace(*settings), "", [])
         seconds = perf_counter() - start
+    buffers, samples, all_light = frame.buffers, frame.samples, frame.all_light
     if not quiet:
         width, height = camera.size
         console.say(f"{scene}: {width}x{height}, {spp} spp, {seconds:.2f} s")
-        if dropped:
-            console.say(f"  mended: {dropped} samples were not finite and are left out")
+        if frame.dropped:
+            console.say(f"  mended: {frame.dropped} samples were not finite and are left out")
+        for line in frame.lines or (["left out nothing: the model reads all, and the frame needs it"] if auto else []):
+            console.say(f"  {line}")
     if denoiser:
         with console.progress(denoiser.model.name, quiet) as bar:
             blocks = {f"samples.{name}": block for name, block in samples.items()}
-            result = denoiser.run_buffers({**buffers, **blocks}, exposure=exposure, progress=bar)
+            whole = needs.restore_split(buffers, all_light, reads) if all_light else buffers
+            result = denoiser.run_buffers({**whole, **blocks}, exposure=exposure, progress=bar)
         for line in () if quiet else result_lines(result.report):
             console.say(line)
-        buffers |= result.images()
+        buffers |= {name: pixels for name, pixels in result.images().items() if name in buffers}
         samples = {}
     metadata: dict[str, str | int | float] = {
         "pathfold:version": version(),
@@ -75,6 +84,7 @@ def render(
         "pathfold:seed": seed,
         "pathfold:max_depth": max_depth,
         "pathfold:render_seconds": seconds,
+        **({ALL_LIGHT: all_light} if all_light else {}),
         **({"pathfold:model": denoiser.model.name} if denoiser else {}),
     }
     write(output, buffers, samples, metadata)

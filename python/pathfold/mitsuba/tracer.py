@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -16,6 +16,14 @@ from . import descriptor, materials
 from .film import Film, opaque
 from .walk import Guides, Path, Settings, walk
 
+MEANS = (
+    *("color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth", "alpha"),
+    *("variance", "diffuse.variance", "specular.variance"),
+)
+OPTIONAL = {
+    *("diffuse", "diffuse_albedo", "albedo", "normal", "depth", "alpha", "position"),
+    *("descriptor", "density", "overlong"),
+}
 MAX_LANES = 2**32 // 36
 CHUNK_LANES = 1 << 22  # samples that trace_mean holds at once
 
@@ -27,17 +35,18 @@ class Samples:
     Radiance, depth, position and density are float32, the rest float16. `normal` is in camera space and faces the
     camera; `position` is the offset in pixels from the pixel centre; `alpha` is 1 where the sample met a surface.
     `descriptor` (6 + 5 * vertices channels, logarithms with -100 for 0), `density` (log of the sampling density)
-    and `overlong` (1 where a path has more vertices than were recorded) are None unless they were asked for.
+    and `overlong` (1 where a path has more vertices than were recorded) are None unless they were asked for, and
+    whatever was left out is None.
     """
 
     radiance: NDArray[Any]
-    diffuse: NDArray[Any]
-    diffuse_albedo: NDArray[Any]
-    albedo: NDArray[Any]
-    normal: NDArray[Any]
-    depth: NDArray[Any]
-    alpha: NDArray[Any]
-    position: NDArray[Any]
+    diffuse: NDArray[Any] = None  # type: ignore[assignment]
+    diffuse_albedo: NDArray[Any] = None  # type: ignore[assignment]
+    albedo: NDArray[Any] = None  # type: ignore[assignment]
+    normal: NDArray[Any] = None  # type: ignore[assignment]
+    depth: NDArray[Any] = None  # type: ignore[assignment]
+    alpha: NDArray[Any] = None  # type: ignore[assignment]
+    position: NDArray[Any] = None  # type: ignore[assignment]
     descriptor: NDArray[Any] | None = None
     density: NDArray[Any] | None = None
     overlong: NDArray[Any] | None = None
@@ -48,15 +57,16 @@ class Samples:
         return self.radiance - self.diffuse
 
     def valid(self) -> NDArray[Any]:
-        """Return S x H x W booleans: radiance and guides are finite."""
+        """Return S x H x W booleans: radiance and guides, as far as they were made, are finite."""
         arrays = (self.radiance, self.diffuse, self.diffuse_albedo, self.albedo, self.normal, self.depth)
-        return np.logical_and.reduce([np.isfinite(a).all(-1) for a in arrays])
+        return np.logical_and.reduce([np.isfinite(a).all(-1) for a in arrays if a is not None])
 
-    def reduce(self) -> dict[str, Any]:
+    def reduce(self, wanted: Collection[str] = MEANS) -> dict[str, Any]:
         """Return pixel means H x W x C float32, and `dropped`: how many samples were not finite and left out.
 
-        Means: color, diffuse, specular, diffuse.albedo, albedo, normal, depth, alpha; also variance,
-        diffuse.variance and specular.variance, unbiased and of the pixel mean, 0 below two samples.
+        Means: color, and as far as they are `wanted` and their samples were made diffuse, specular, diffuse.albedo,
+        albedo, normal, depth, alpha; also variance, diffuse.variance and specular.variance, unbiased and of the
+        pixel mean, 0 below two samples.
         """
         valid = self.valid()[..., None]
         count = valid.sum(0)
@@ -66,12 +76,16 @@ class Samples:
             total = np.where(valid, samples, 0).sum(0, dtype=np.float32)
             return (total / np.maximum(count, 1)).astype(np.float32)
 
-        radiance = {"color": self.radiance, "diffuse": self.diffuse, "specular": self.specular}
-        for name, samples in radiance.items():
+        for name in ("color", "diffuse", "specular"):
+            spread = "variance" if name == "color" else f"{name}.variance"
+            if name != "color" and (self.diffuse is None or not {name, spread} & {*wanted}):
+                continue
+            samples = self.radiance if name == "color" else getattr(self, name)
             buffers[name] = mean(samples)
-            squares = np.where(valid, np.square(samples - buffers[name]), 0).sum(0)
-            variance = np.where(count > 1, squares / np.maximum(count - 1, 1) / np.maximum(count, 1), 0)
-            buffers["variance" if name == "color" else f"{name}.variance"] = variance.astype(np.float32)
+            if spread in wanted:
+                squares = np.where(valid, np.square(samples - buffers[name]), 0).sum(0)
+                variance = np.where(count > 1, squares / np.maximum(count - 1, 1) / np.maximum(count, 1), 0)
+                buffers[spread] = variance.astype(np.float32)
         guides = {
             "diffuse.albedo": self.diffuse_albedo,
             "albedo": self.albedo,
@@ -79,7 +93,8 @@ class Samples:
             "depth": self.depth,
             "alpha": self.alpha,
         }
-        return buffers | {name: mean(samples) for name, samples in guides.items()}
+        made = {name: samples for name, samples in guides.items() if name in wanted and samples is not None}
+        return buffers | {name: mean(samples) for name, samples in made.items()}
 
 
 def trace(
@@ -92,15 +107,19 @@ def trace(
     rr_depth: int | None = None,
     emitter_sampling: bool = True,
     vertices: int = 6,
+    leave_out: Collection[str] = (),
 ) -> Samples:
     """Path-trace `spp` samples for every pixel of a sensor of a loaded Mitsuba scene.
 
     `max_depth` counts as in Mitsuba: 1 shows emitters alone, 2 adds direct light, -1 has no limit and needs
     `rr_depth`, the depth from which Russian roulette may end a path (None: never; its odds join the density).
-    Without `emitter_sampling` light is only found by running into it. Equal arguments give equal arrays.
+    Without `emitter_sampling` light is only found by running into it. `leave_out` names fields of `Samples` that are
+    not made, nor anything that only they need; the others stay what they are. Equal arguments give equal arrays.
     Raises ValueError for arguments out of range, NotImplementedError naming what the scene has and we lack.
     """
     camera = check(scene, spp, seed, sensor, max_depth, rr_depth, vertices)
+    if unknown := set(leave_out) - OPTIONAL:
+        raise ValueError(f"leave_out names {', '.join(sorted(unknown))}; it may name {', '.join(sorted(OPTIONAL))}")
     film = Film(camera)
     if film.pixels * spp > MAX_LANES:
         raise ValueError(
@@ -114,6 +133,7 @@ def trace(
     columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
     if record is not None:
         columns |= descriptor.channels(record)
+    columns = {name: channels for name, channels in columns.items() if name not in leave_out}
     dr.eval(columns)
     return Samples(**{name: to_host(channels, spp, film) for name, channels in columns.items()})
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pathfold import memory
 from pathfold.report import candidates, peers
 
 TIMEOUT = 1800  # seconds
@@ -49,33 +50,11 @@ def main(argument: str, folder: Path) -> None:
     peers.keep_torch_out()
     buffers = {path.name.removesuffix(".npy"): np.load(path) for path in sorted(folder.glob("*.npy"))}
     candidate = candidates.find(argument)
-    before = _forget_peak()
+    before = memory.forget_peak()
     start = perf_counter()
     candidate.load()(buffers, None)
     milliseconds = 1000 * (perf_counter() - start)
-    print(json.dumps({"ms": milliseconds, "mb": max(0.0, _peak() - before)}))
-
-
-def _forget_peak() -> float:
-    """Start counting anew where the system can (Linux); the MB in use now."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
-        return _peak()
-    return _peak()
-
-
-def _peak() -> float:
-    """The most MB that were in use at a time."""
-    status = Path("/proc/self/status")
-    lines = status.read_text().splitlines() if status.exists() else []
-    for line in lines:
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) / 1024
-    import resource  # not on Windows
-
-    unit = 2**20 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    print(json.dumps({"ms": milliseconds, "mb": max(0.0, memory.peak() - before)}))
 
 
 if __name__ == "__main__":

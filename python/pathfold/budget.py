@@ -1,0 +1,239 @@
+"""A run inside a budget of time or memory: which model, with or without paths, in tiles of what size.
+
+Nothing is assumed of the machine: each candidate denoises a piece from the middle of the frame, and what that
+takes is scaled to the frame's windows (tiles with their overlap).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import ceil
+from time import perf_counter
+from typing import Any
+
+from numpy.typing import NDArray
+
+from pathfold import memory, models
+from pathfold.denoising import Denoiser, Result, failure
+
+# The best first, by the errors in docs/results; another model takes part where it is named.
+PREFERRED = ("pathfold-high", "pathfold-balanced", "pathfold-fast", "kpcn-vanilla", "kpcn-path", "kpcn-manifold")
+
+ROUNDS = 2  # of a trial
+IN_WINDOWS = ("pack", "network", "reconstruct")  # the stages of a run that see a tile's window
+# On what a trial tells: other programs run, too, and what the heap had free hides some of what is needed.
+TIME_MARGIN, MEMORY_MARGIN = 1.25, 1.4
+LARGEST_WINDOW = 640 * 1024  # pixels; larger ones are not faster
+
+Buffers = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a trial tells of a candidate; milliseconds and bytes per pixel of a window, and of the frame."""
+
+    window_ms: float
+    frame_ms: float
+    window_bytes: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a candidate would come to in square tiles of `edge`."""
+
+    edge: int
+    seconds: float
+    memory_mb: float  # of the process at its peak
+    overlapping: float  # pixels of all windows over those of the frame
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """How a model's tiles may be cut, in pixels."""
+
+    alignment: int
+    overlap: int  # a multiple of it, as in the SDK's plan
+
+    @property
+    def smallest_window(self) -> int:
+        """Edge of the window of the smallest tile."""
+        return self.alignment + 2 * self.overlap
+
+    @staticmethod
+    def of(denoiser: Denoiser) -> "Tiling":
+        tile = denoiser.model.manifest["tile"]
+        return Tiling(tile["alignment"], ceil(tile["overlap"] / tile["alignment"]) * tile["alignment"])
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a budget comes to: the denoiser, the buffers that it is to have, and what to tell the user."""
+
+    denoiser: Denoiser
+    buffers: Buffers
+    seconds: float  # as expected
+    memory_mb: float  # of the process at its peak, as feared
+    lines: list[str]
+
+    def run(self, **arguments: Any) -> Result:
+        return self.denoiser.run_buffers(self.buffers, **arguments)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    name: str
+    paths: bool | None  # whether samples are read; None: the model has no choice
+
+    def __str__(self) -> str:
+        return self.name + {None: "", True: " with paths", False: " without paths"}[self.paths]
+
+
+class Budget:
+    """Bounds on a run: `seconds` until its end, `memory_mb` of this process at its peak.
+
+    `model` is the only model that may be chosen; None stands for all of PREFERRED that there are. `options` go to
+    the Denoiser. Raises PathfoldError for bounds that are not > 0, and for a memory that cannot be watched.
+    """
+
+    def __init__(
+        self, seconds: float | None = None, memory_mb: float | None = None, model: str | None = None, **options: Any
+    ) -> None:
+        for name, value in (("seconds", seconds), ("memory_mb", memory_mb)):
+            if value is not None and not 0 < value < float("inf"):
+                raise failure("invalid-argument", f"{name} is {value}; it must be > 0 and finite")
+        if memory_mb is not None and not memory.can_be_watched():
+            raise failure("unsupported", "memory_mb: this system does not tell what a process holds; leave it away")
+        self.seconds, self.memory_mb = seconds, memory_mb
+        known = models.available()
+        self.models = [model] if model else [name for name in PREFERRED if name in known]
+        if not self.models:
+            raise failure("not-found", f"none of {', '.join(PREFERRED)} is there; name a model")
+        self._options = options
+        self._chosen: dict[tuple[Any, ...], Choice] = {}
+
+    def __str__(self) -> str:
+        given = ((self.seconds, "s"), (self.memory_mb, "MB"))
+        return " and ".join(f"{value:g} {unit}" for value, unit in given if value is not None)
+
+    @property
+    def reads(self) -> set[str]:
+        """What any of the models can use."""
+        return set().union(*(models.inputs(name) for name in self.models))
+
+    def choose(
+        self,
+        buffers: Buffers,
+        *,
+        start: float | None = None,
+        samples_per_pixel: int = 0,
+        later_mb: float = 0,
+    ) -> Choice:
+        """The first candidate, in the order of PREFERRED and with paths before without, that stays inside.
+
+        `buffers` are those of the frame by name, height x width x channels, samples S x height x width x channels.
+        `start` is when the clock began to run (perf_counter; None: now), `later_mb` what the caller will hold at a time
+        beside the buffers and the denoiser, to write a file for example. Frames like one before get what that got.
+        Raises PathfoldError ("unsupported") that names the nearest candidate where none stays inside.
+        """
+        begin = perf_counter() if start is None else start
+        shapes = tuple(sorted((name, pixels.shape) for name, pixels in buffers.items()))
+        if shapes not in self._chosen:
+            self._chosen = {shapes: self._search(buffers, begin, samples_per_pixel, later_mb)}
+        found = self._chosen[shapes]
+        return replace(found, buffers={name: buffers[name] for name in found.buffers})
+
+    def _search(self, buffers: Buffers, begin: float, samples_per_pixel: int, later_mb: float) -> Choice:
+        refused: list[tuple[float, str]] = []
+        for candidate in self._candidates(buffers):
+            given = _without_paths(buffers) if candidate.paths is False else buffers
+            denoiser = Denoiser(candidate.name, **self._options)
+            plan = self._plan(_try(denoiser, given, samples_per_pixel), Tiling.of(denoiser), given, later_mb)
+            spent = perf_counter() - begin
+            until = spent + TIME_MARGIN * plan.seconds
+            if self.memory_mb is not None and plan.memory_mb > self.memory_mb:
+                refused.append((plan.memory_mb / self.memory_mb, f"{candidate}: needs {plan.memory_mb:.0f} MB"))
+            elif self.seconds is not None and until > self.seconds:
+                words = f"{candidate}: would take {plan.seconds:.2g} s, {spent:.2g} s are spent"
+                refused.append((until / self.seconds, words))
+            else:
+                lines = [
+                    f"{candidate}, tiles of {plan.edge}: about {plan.seconds:.2g} s, less than {plan.memory_mb:.0f} MB"
+                ]
+                lines += [f"gave up {words}" for _, words in refused]
+                if plan.overlapping > 1.5:
+                    lines.append(f"gave up larger tiles: with overlap these are {plan.overlapping:.1f} pictures")
+                ready = Denoiser(denoiser.model, tile=plan.edge, **self._options)
+                return Choice(ready, given, plan.seconds, plan.memory_mb, lines)
+            del denoiser  # before the next one is loaded
+        ratio, words = min(refused)
+        raise failure("unsupported", f"nothing stays inside {self}. Nearest is {words}; give {ratio:.1f} times as much")
+
+    def _candidates(self, buffers: Buffers) -> list[Candidate]:
+        found = []
+        given = buffers.keys() | ({"color"} if {"diffuse", "specular"} <= buffers.keys() else set())
+        for name in self.models:
+            manifest = models.manifest(name)
+            if not set(manifest["requires"]) <= given:
+                continue
+            optional = "samples.descriptor" in manifest["uses"] and "samples.descriptor" in buffers
+            found += [Candidate(name, paths) for paths in ((True, False) if optional else (None,))]
+        if not found:
+            needed = f"{', '.join(self.models)} require buffers that are not there"
+            raise failure("invalid-argument", f"{needed}; there are {', '.join(sorted(buffers))}")
+        return found
+
+    def _plan(self, cost: Cost, tiling: Tiling, buffers: Buffers, later_mb: float) -> Plan:
+        """The largest tiles that the memory allows, or the smallest ones if none are small enough."""
+        height, width = buffers["color" if "color" in buffers else "diffuse"].shape[:2]
+        held = memory.in_use() + later_mb + width * height * _frame_bytes(buffers) / memory.MEBIBYTE
+        most = ceil(max(width, height) / tiling.alignment)
+        for parts in range(1, most + 1):
+            edge = ceil(most / parts) * tiling.alignment
+            across, down = (windows(size, edge, tiling.overlap) for size in (width, height))
+            largest, total = max(across) * max(down), sum(across) * sum(down)
+            needed = held + MEMORY_MARGIN * cost.window_bytes * largest / memory.MEBIBYTE
+            inside = largest <= LARGEST_WINDOW and (self.memory_mb is None or needed <= self.memory_mb)
+            if inside or parts == most:
+                break
+        seconds = (cost.window_ms * total + cost.frame_ms * width * height) / 1000
+        return Plan(edge, seconds, needed, total / (width * height))
+
+
+def _try(denoiser: Denoiser, buffers: Buffers, samples_per_pixel: int) -> Cost:
+    """Denoise the middle of the frame: a small piece to warm up, then one like the model's smallest window."""
+    # What loading the model left free in the heap would hide some of what the first run takes.
+    edge = Tiling.of(denoiser).smallest_window
+    small, piece = ({name: _middle(pixels, size) for name, pixels in buffers.items()} for size in (edge // 2, edge))
+    denoiser.run_buffers(small, samples_per_pixel=samples_per_pixel)
+    before = memory.forget_peak()
+    reports = [denoiser.run_buffers(piece, samples_per_pixel=samples_per_pixel).report for _ in range(ROUNDS)]
+    pixels = reports[0]["width"] * reports[0]["height"]
+    inside = min(sum(report["ms"][stage] for stage in IN_WINDOWS) for report in reports)
+    whole = min(report["ms"]["total"] for report in reports)
+    held = (memory.peak() - before) * memory.MEBIBYTE
+    return Cost(inside / pixels, max(0.0, whole - inside) / pixels, held / pixels)
+
+
+def windows(size: int, edge: int, overlap: int) -> list[int]:
+    """The windows of tiles of that edge along an axis: the tile and its overlap, as far as the picture reaches."""
+    starts = range(0, size, edge)
+    return [min(size, start + edge + overlap) - max(0, start - overlap) for start in starts]
+
+
+def _without_paths(buffers: Buffers) -> dict[str, NDArray[Any]]:
+    return {name: pixels for name, pixels in buffers.items() if not name.startswith("samples.")}
+
+
+def _middle(pixels: NDArray[Any], edge: int) -> NDArray[Any]:
+    """A piece of edge x edge from the middle, or as much of it as there is."""
+    axis = pixels.ndim - 3
+    height, width = pixels.shape[axis : axis + 2]
+    y, x = max(0, height - edge) // 2, max(0, width - edge) // 2
+    return pixels[..., y : y + edge, x : x + edge, :]
+
+
+def _frame_bytes(buffers: Buffers) -> int:
+    """What a run holds per pixel of the frame: float32 results, what is filtered, and what that is divided by."""
+    split = {"diffuse", "specular", "diffuse.albedo"} <= buffers.keys()
+    results = (9 if split else 3) + ("alpha" in buffers)
+    filtered = (6 if split else 3) + ("alpha" in buffers)
+    return 4 * (results + filtered + 3) + 1

@@ -1,0 +1,151 @@
+"""A run inside a budget: what is chosen, what is given up, and that a stated memory is kept."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exr_files import noise, part, write
+from pathfold import Budget, Denoiser, PathfoldError, budget, denoise, memory
+from pathfold.cli import app, console
+
+PLENTY = 1e5
+SIZES = [(7, 4, 4), (100, 64, 16), (64, 64, 112), (1, 4, 68), (130, 40, 0)]
+
+
+def frame(height: int = 40, width: int = 56, seed: int = 0) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return {"color": rng.exponential(1, (height, width, 3)).astype(np.float32)}
+
+
+@pytest.mark.parametrize(("size", "edge", "overlap"), SIZES)
+def test_windows_cover_an_axis_once(size: int, edge: int, overlap: int) -> None:
+    found = budget.windows(size, edge, overlap)
+    assert len(found) == -(-size // edge)
+    inner = sum(min(size, start + edge) - start for start in range(0, size, edge))
+    assert inner == size <= sum(found) <= size + 2 * overlap * (len(found) - 1)
+
+
+@pytest.mark.usefixtures("tiny")
+def test_plenty_gives_what_no_budget_gives() -> None:
+    choice = Budget(PLENTY, PLENTY, "split-5").choose(frame())
+    result = choice.run()
+    np.testing.assert_allclose(result.color, Denoiser("split-5").run(**frame()).color, rtol=1e-5, atol=1e-6)
+    assert choice.lines[0].startswith("split-5, tiles of 56: about ")
+    assert len(choice.lines) == 1  # nothing was given up
+
+
+@pytest.mark.usefixtures("tiny")
+def test_denoise_takes_a_budget_and_all_that_it_takes_without() -> None:
+    given = frame() | {
+        "depth": np.ones((40, 56), np.float32),
+        "diffuse_albedo": frame(seed=1)["color"],
+        "exposure": 2.0,
+    }
+    plain = denoise(model="split-5", **given)
+    np.testing.assert_allclose(denoise(model="split-5", seconds=PLENTY, **given), plain, rtol=1e-5, atol=1e-6)
+    parts = {"diffuse": given["color"], "specular": frame(seed=2)["color"], "diffuse_albedo": given["diffuse_albedo"]}
+    whole = denoise(model="split-5", **parts)
+    np.testing.assert_allclose(denoise(model="split-5", seconds=PLENTY, **parts), whole, rtol=1e-5, atol=1e-6)
+    with pytest.raises(PathfoldError, match="model is a Denoiser"):
+        denoise(model=Denoiser("split-5"), memory_mb=PLENTY, **given)
+    with pytest.raises(PathfoldError, match="colour"):
+        denoise(colour=given["color"], model="split-5", seconds=PLENTY)
+
+
+@pytest.mark.usefixtures("tiny")
+def test_little_memory_gives_small_tiles_and_the_same_picture() -> None:
+    pixels = frame(200, 200)
+    whole = Budget(None, PLENTY, "single-21").choose(pixels)
+    tight = Budget(None, memory.in_use() + 25, "single-21").choose(pixels)
+    assert whole.memory_mb > tight.memory_mb
+    result = tight.run()
+    assert result.report["tiles"] > whole.run().report["tiles"] == 1
+    np.testing.assert_allclose(result.color, whole.run().color, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.usefixtures("tiny")
+def test_models_are_tried_in_order_among_those_that_can_read_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budget, "PREFERRED", ("no-such", "samples-5", "split-5", "single-3"))
+    chooser = Budget(PLENTY)
+    assert chooser.choose(frame()).denoiser.model.name == "split-5"  # there are no samples
+    height, width = frame()["color"].shape[:2]
+    samples = {"samples.descriptor": np.zeros((2, height, width, 36), np.float16)}
+    samples["samples.density"] = np.zeros((2, height, width, 1), np.float32)
+    assert chooser.choose(frame() | samples).denoiser.model.name == "samples-5"
+
+
+def test_paths_are_given_up_before_the_model() -> None:
+    pixels = frame() | {"samples.descriptor": np.zeros((2, 40, 56, 36), np.float16)}
+    candidates = [str(one) for one in Budget(PLENTY, model="pathfold-balanced")._candidates(pixels)]
+    assert candidates == ["pathfold-balanced with paths", "pathfold-balanced without paths"]
+
+
+@pytest.mark.usefixtures("tiny")
+def test_a_choice_stays_for_frames_of_one_kind() -> None:
+    chooser = Budget(PLENTY, model="single-3")
+    first, second, other = (chooser.choose(frame(*size, seed=1)) for size in ((40, 56), (40, 56), (24, 56)))
+    assert first.denoiser is second.denoiser is not other.denoiser
+
+
+@pytest.mark.usefixtures("tiny")
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        (
+            {"seconds": 1e-6},
+            r"nothing stays inside 1e-06 s\. Nearest is single-3: would take .* s, .* s are spent; give",
+        ),
+        ({"memory_mb": 10}, r"nothing stays inside 10 MB\. Nearest is single-3: needs \d+ MB; give [\d.]+ times"),
+        ({"seconds": 0}, "seconds is 0; it must be > 0"),
+        ({"memory_mb": float("nan")}, "memory_mb is nan; it must be > 0"),
+    ],
+)
+def test_what_cannot_be_kept_is_refused_with_what_would_do(bounds: dict[str, float], words: str) -> None:
+    with pytest.raises(PathfoldError, match=words):
+        Budget(model="single-3", **bounds).choose(frame())
+
+
+@pytest.mark.usefixtures("tiny")
+def test_buffers_that_no_model_can_do_with_are_named() -> None:
+    with pytest.raises(PathfoldError, match="samples-5 require buffers that are not there; there are color"):
+        Budget(PLENTY, model="samples-5").choose(frame())
+
+
+def test_a_stated_memory_is_kept(tiny: Path, tmp_path: Path) -> None:
+    """A picture that takes 1 GB in one tile, in a process that may hold 230 MB."""
+    names = ["R", "G", "B"]
+    write(tmp_path / "in.exr", [part("", names, ["float"] * 3, noise(3, size=(700, 700)))])
+    script = f"""
+import json, sys
+from pathfold import memory
+from pathfold.cli import app, console
+base = memory.forget_peak()
+sys.argv = "pathfold denoise {tmp_path}/in.exr -o {tmp_path}/out.exr -m single-21 --memory {{}}".format(230).split()
+code = console.run(app)
+print(json.dumps([code, base, memory.peak()]))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    code, base, peak = json.loads(done.stdout.splitlines()[-1])
+    assert (code, done.stderr) == (0, "")
+    assert base < peak < 230
+
+
+def test_the_command_says_what_it_chose(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "in.exr", [part("", ["R", "G", "B"], ["float"] * 3, noise(3))])
+
+    def run(*more: str) -> int:
+        arguments = ["pathfold", "denoise", str(tmp_path / "in.exr"), "-o", str(tmp_path / "out.exr"), *more]
+        monkeypatch.setattr(sys, "argv", arguments)
+        return console.run(app)
+
+    assert run("-m", "single-3", "--seconds", "100") == 0
+    assert "single-3, tiles of " in capsys.readouterr().out
+    assert run("-m", "single-3", "--seconds", "1e-9") == console.MODEL
+    assert "nothing stays inside 1e-09 s" in capsys.readouterr().err
+    assert run("-m", "single-3", "--memory", "0") == console.INPUT
+    assert "memory_mb is 0" in capsys.readouterr().err
