@@ -34,6 +34,7 @@ class Pyramid(Strict):
     widths: tuple[int, int, int, int] = Field((64, 96, 128, 160), description="channels per level")
     convolutions: tuple[int, int, int, int] = Field((3, 2, 2, 2), description="per level, the same on the way back up")
     embedding: int = Field(8, ge=1, description="C: channels of the path embedding")
+    demodulate: bool = Field(True, description="radiance is divided by the noisy albedo while it is filtered")
 
 
 def family(network: object) -> str:

@@ -6,6 +6,7 @@ import copy
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
 import onnx
 import torch
@@ -211,8 +212,9 @@ def describe_branches(model: Kpcn, out: Path) -> dict:
 
 def describe_pyramid(model: Pathfold, out: Path) -> dict:
     """The pathfold family's own part of the manifest: one pyramid, everything but color optional."""
-    demodulate = {"by": "albedo", "epsilon": pathfold.ALBEDO_EPSILON}
-    branch = {"name": "color", "graph": "network", "radiance": "color", "unsplit": True, "demodulate": demodulate}
+    branch: dict[str, Any] = {"name": "color", "graph": "network", "radiance": "color", "unsplit": True}
+    if model.network.demodulate:
+        branch["demodulate"] = {"by": "albedo", "epsilon": pathfold.ALBEDO_EPSILON}
     return {
         "requires": ["color"],
         "uses": [n for n in pathfold.OPTIONAL if n != "paths"] + ["samples.descriptor", "samples.valid"],

@@ -84,7 +84,7 @@ class Pathfold(nn.Module):
         if torch.is_autocast_enabled(features.device.type):  # before the convolutions' own cast, a copy more
             features = features.to(torch.get_autocast_dtype(features.device.type))
         paths = self.sample(features.contiguous(memory_format=torch.channels_last))
-        pixels = functional.pixel_unshuffle(aligned(pixel_features(inputs)), 2)
+        pixels = functional.pixel_unshuffle(aligned(pixel_features(inputs, self.network.demodulate)), 2)
         moments = embedding_moments(exact(paths), inputs["samples.valid"], counts)
         x = torch.cat([pixels, moments], 1).contiguous(memory_format=torch.channels_last)
         present = torch.stack([inputs[f"{name}.present"].reshape(-1) for name in OPTIONAL], 1)
@@ -112,7 +112,7 @@ class Pathfold(nn.Module):
         """The denoised radiance B x 3 x H x W, linear and unexposed; the logits; the embeddings."""
         trust, predicted, paths = self(inputs, counts)
         with torch.autocast(trust.device.type, enabled=False):
-            factor = demodulator(inputs)
+            factor = demodulator(inputs) if self.network.demodulate else torch.ones_like(trust[:, :1, :1, :1])
             logits = [exact(part) for part in predicted]
             return self.reconstruct(trust, logits, inputs["radiance"] / factor) * factor, logits, paths
 
@@ -130,7 +130,7 @@ def demodulator(inputs: dict[str, Tensor]) -> Tensor:
     return present * (inputs["albedo"] + ALBEDO_EPSILON) + (1.0 - present)
 
 
-def pixel_features(inputs: dict[str, Tensor]) -> Tensor:
+def pixel_features(inputs: dict[str, Tensor], demodulate: bool) -> Tensor:
     """The network's view of the buffers, B x 11 x H x W: logs of exposed radiance and its deviation, guides."""
     scale = inputs["exposure"].reshape(-1, 1, 1, 1)
     mean = inputs["radiance"] * scale
@@ -139,7 +139,7 @@ def pixel_features(inputs: dict[str, Tensor]) -> Tensor:
     far = inputs["depth"] * inputs["depth_scale"].reshape(-1, 1, 1, 1)
     depth = 1.0 - 1.0 / (1.0 + far)  # [0, 1), whatever the scene's unit
     albedo = torch.clamp(inputs["albedo"], 0.0, 1.0)
-    color = torch.log1p(mean / demodulator(inputs))
+    color = torch.log1p(mean / demodulator(inputs) if demodulate else mean)
     return torch.cat([color, torch.log1p(16.0 * relative), albedo, inputs["normal"], depth], 1)
 
 
