@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <cstring>
 
 #include <oneapi/tbb/combinable.h>
 
@@ -28,6 +30,18 @@ void add_vertices(float *pixels, int count, int vertices) {
         std::copy_n(tags, vertices, out + descriptor_logs);
         std::copy_n(tags + vertices, vertices, out + descriptor_logs + descriptor_vertices);
     }
+}
+
+/// On the bits, so that it runs as vectors.
+bool all_finite(const float *values, int count) {
+    constexpr uint32_t exponent = 0x7f800000;
+    uint32_t bad = 0;
+    for (int i = 0; i < count; ++i) {
+        uint32_t bits;
+        std::memcpy(&bits, values + i, sizeof bits);
+        bad |= uint32_t((bits & exponent) == exponent);
+    }
+    return bad == 0;
 }
 
 bool is_samples(const std::string &input) { return input.rfind("samples.", 0) == 0; }
@@ -225,8 +239,8 @@ void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, i
 
     for (int x = 0; x < window.width; ++x) {
         float *values = descriptor + size_t(x) * channels;
-        const bool finite = std::isfinite(density[x]) && std::isfinite(valid[x]) &&
-                            std::all_of(values, values + channels, [](float v) { return std::isfinite(v); });
+        const bool finite =
+            std::isfinite(density[x]) && std::isfinite(valid[x]) && all_finite(values, channels);
         valid[x] = finite && valid[x] > 0.5f ? 1.0f : 0.0f;
         if (valid[x] == 0) {
             std::fill_n(values, descriptor_logs, dead_log);
@@ -239,9 +253,11 @@ void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, i
         if (names.count(name) == 0)
             return;
         float *out = memory_[name].data() + size_t(slot) * count * plane + size_t(row) * window.width;
-        for (int c = 0; c < count; ++c)
-            for (int x = 0; x < window.width; ++x)
-                out[size_t(c) * plane + x] = in[size_t(x) * count + c];
+        constexpr int block = 16; // pixels that stay in the first cache while their channels are spread
+        for (int begin = 0; begin < window.width; begin += block)
+            for (int c = 0; c < count; ++c)
+                for (int x = begin; x < std::min(begin + block, window.width); ++x)
+                    out[size_t(c) * plane + x] = in[size_t(x) * count + c];
     };
     write("samples.descriptor", channels, descriptor);
     write("samples.density", 1, density);
