@@ -18,7 +18,7 @@ import torch
 from pathfold import Denoiser
 from pathfold.report.peers import oidn
 from pathfold_training.config import load_preset
-from pathfold_training.export import Graph, describe_pyramid, macs_per_pixel, write_graph
+from pathfold_training.export import macs_per_pixel, write_pyramid
 from pathfold_training.networks.pathfold import Pathfold
 from pathfold_training.task import Denoising
 
@@ -34,8 +34,7 @@ def write_model(name: str, folder: Path) -> Pathfold:
     for head in (model.trust, *model.heads):
         torch.nn.init.normal_(head.weight, std=0.1)  # type: ignore[arg-type]
     folder.mkdir(parents=True)
-    write_graph(Graph(model), folder / "network.onnx", model.output_shapes())
-    manifest = {"format": 1, "name": name, "license": "Apache-2.0", **describe_pyramid(model, folder)}
+    manifest = {"format": 1, "name": name, "license": "Apache-2.0", **write_pyramid(model, folder)}
     manifest |= {"exposure": {"rule": "log-average", "key": 0.18}, "samples_per_pixel": {"min": 1, "max": 32}}
     (folder / "manifest.json").write_text(json.dumps(manifest | {"precision": "fp32"}))
     return model
@@ -82,17 +81,17 @@ def main() -> None:
                     times[name].append(1e3 * (time.perf_counter() - start))
     reference = median(times["OIDN high"])
     print(f"{options.width}x{options.height}, {options.samples} samples per pixel, {options.runs} runs\n")
-    print("| model | kMAC per pixel | ms | OIDN high = 1 | network | reconstruction | the rest |")
-    print("|---|---|---|---|---|---|---|")
+    print("| model | kMAC per pixel | ms | OIDN high = 1 | network | embedding | reconstruction | the rest |")
+    print("|---|---|---|---|---|---|---|---|")
     for name, taken in times.items():
         row = f"| {name} | {costs[name]:.0f} |" if name in costs else f"| {name} | 125 |"
         row += f" {median(taken):.0f} | {median(taken) / reference:.2f} |"
         shares = parts.get(name)
         if shares:
             total = shares["total"]
-            named = [shares["network"] / total, shares["reconstruct"] / total]
+            named = [shares[stage] / total for stage in ("network", "embedding", "reconstruct")]
             row += "".join(f" {share:.0%} |" for share in (*named, 1 - sum(named)))
-        print(row if shares else row + " | | |")
+        print(row if shares else row + " | | | |")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,13 @@ import torch
 from pathfold_training.config import Config, Data, Loss, Optimiser, Pyramid, load_preset
 from pathfold_training.data import Crops, Stored
 from pathfold_training.fit import fit
-from pathfold_training.networks.pathfold import Pathfold, embedding_moments, macs_per_pixel, overlap
+from pathfold_training.networks.pathfold import (
+    Pathfold,
+    embedding_moments,
+    embedding_sums,
+    macs_per_pixel,
+    overlap,
+)
 from pathfold_training.networks.reconstruct import _WeighTaps, gather_pyramid
 from training_data import write_data_set
 
@@ -201,10 +207,12 @@ def test_embedding_moments_of_known_values() -> None:
     paths = torch.arange(8.0).reshape(2, 1, 2, 2)  # samples of one 2x2 block: 0..7
     valid = torch.ones((2, 1, 2, 2))
     valid[1, 0, 1, 1] = 0.0  # without the 7
-    mean, deviation = embedding_moments(paths, valid, None)[0, :, 0, 0].tolist()
+    mean, deviation = embedding_moments(embedding_sums(paths, valid))[0, :, 0, 0].tolist()
     assert mean == pytest.approx(3.0)
     assert deviation == pytest.approx(2.0, abs=0.011)
-    assert embedding_moments(paths, valid * 0, None)[0, :, 0, 0].tolist() == pytest.approx([0.0, 0.0])
+    parts = embedding_sums(paths[:1], valid[:1]) + embedding_sums(paths[1:], valid[1:])
+    torch.testing.assert_close(parts, embedding_sums(paths, valid))
+    assert embedding_moments(embedding_sums(paths, valid * 0))[0, :, 0, 0].tolist() == pytest.approx([0.0, 0.0])
 
 
 @pytest.mark.parametrize(("name", "low", "high"), [("fast", 30, 40), ("balanced", 80, 100), ("high", 280, 330)])

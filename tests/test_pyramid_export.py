@@ -117,6 +117,35 @@ def test_any_size(exported: tuple[Path, Denoising], height: int, width: int, sam
     assert relative_error(result.color, torch_frame(task, buffers, 1.3))[0] < tolerance("chain.fp32")
 
 
+def test_samples_in_parts(exported: tuple[Path, Denoising]) -> None:
+    """More samples than one run of the embedding takes: strips of the frame, and a part of its samples at a time."""
+    folder, task = exported
+    buffers = frame(20, 350, 9, seed=6)
+    result = Denoiser(folder, threads=1).run_buffers(buffers, exposure=0.7)
+    assert relative_error(result.color, torch_frame(task, buffers, 0.7))[0] < tolerance("chain.fp32")
+
+
+def test_samples_are_embedded_once_and_only_where_there_are_paths(exported: tuple[Path, Denoising]) -> None:
+    folder, _ = exported
+    buffers = frame(64, 80, 2, seed=7)
+    buffers["samples.descriptor"][1, 3:5, 7, 0] = np.nan  # seen by several windows, counted once each
+    report = Denoiser(folder, tile=16).run_buffers(buffers).report
+    assert report["ms"]["embedding"] > 0
+    assert report["sanitised"]["samples_dropped"] == 2
+    plain = {name: value for name, value in buffers.items() if not name.startswith("samples.")}
+    valid_alone = plain | {"samples.valid": np.ones((2, 64, 80, 1), np.float32)}
+    for given in (plain, valid_alone):
+        report = Denoiser(folder).run_buffers(given).report
+        assert report["sanitised"]["samples_dropped"] == 0
+        assert report["ms"]["embedding"] < report["ms"]["network"]
+
+
+def test_descriptors_need_not_fit_into_the_memory_of_a_tile(exported: tuple[Path, Denoising]) -> None:
+    folder, _ = exported
+    buffers = frame(256, 256, 16, seed=8)  # 36 MB of descriptors
+    assert Denoiser(folder, memory_mb=32).run_buffers(buffers).report["tiles"] == 1
+
+
 def test_tiles_make_no_difference(exported: tuple[Path, Denoising]) -> None:
     folder, _ = exported
     buffers = frame(330, 350, 1, seed=2)

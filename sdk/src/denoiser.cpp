@@ -81,6 +81,7 @@ private:
     bool leaves_out(const char *what) const { return settings_.leave_out.count(what) > 0; }
     std::vector<std::string> find_needs(const Tile &tile) const;
     void denoise(const Tile &tile, size_t index);
+    void embed();
     void filter(const Tile &tile, int branch);
     void predict(const Tile &tile, int branch);
     template <typename Row>
@@ -116,6 +117,7 @@ private:
     std::vector<Tile> tiles_;
     std::vector<Planes> results_; // of the tile at hand, per signal
     std::vector<float> gathered_;
+    bool embedded_ = false;                             // the frame's samples, where the model does so
     std::map<std::string, size_t> offsets_;             // of the network's outputs in logits_
     std::vector<char> idle_;                            // per branch: in the whole frame
     std::vector<Work> work_;                            // per branch: done
@@ -184,8 +186,11 @@ void Denoiser::Run::denoise(const Tile &tile, size_t index) {
             report_.times.write += watch_.lap();
             continue;
         }
-        if (!packed)
-            packer_.start(tile);
+        if (!packed) {
+            if (!embedded_ && manifest_.embedding_channels > 0)
+                embed();
+            packer_.start(tile, denoiser_.embedding_);
+        }
         packed = true;
         filter(tile, int(branch));
         work_[branch].add(tile);
@@ -193,6 +198,35 @@ void Denoiser::Run::denoise(const Tile &tile, size_t index) {
     watch_.lap();
     write(tile);
     report_.times.write += watch_.lap();
+}
+
+/// Brings the frame's samples through the model's embedding, in parts that stay in the caches.
+void Denoiser::Run::embed() {
+    constexpr int64_t part = 16 * 1024; // samples, for each thread
+    Embedding &embedding = denoiser_.embedding_;
+    const int width = frame_.width(), height = frame_.height();
+    embedding.reset(manifest_.embedding_channels, height, width);
+    embedded_ = true;
+    if (!frame_.has("samples.descriptor"))
+        return;
+    const Session &session = model_.session("embedding");
+    const int64_t spp = frame_.samples(), most = part * std::min(model_.threads(), 16);
+    const int step = Embedding::alignment;
+    const int rows = int(std::max<int64_t>(1, most / (width * spp * step))) * step;
+    const int64_t count = std::clamp<int64_t>(most / (int64_t(width) * rows), 1, spp);
+    for (int y = 0; y < height; y += rows) {
+        const Rect strip{0, y, width, std::min(rows, height - y)};
+        const std::vector<int64_t> shape{1, manifest_.embedding_channels, Embedding::cells(strip.height),
+                                         Embedding::cells(width)};
+        std::vector<float> sums(size_t(shape[1] * shape[2] * shape[3]));
+        tell_progress(0);
+        for (int64_t first = 0; first < spp; first += count) {
+            session.run(packer_.samples(strip, first, std::min(count, spp - first)),
+                        {{"embedding", shape, sums.data()}});
+            embedding.add(strip, sums.data());
+        }
+    }
+    report_.times.embedding += watch_.lap();
 }
 
 void Denoiser::Run::filter(const Tile &tile, int branch) {
@@ -225,7 +259,7 @@ void Denoiser::Run::predict(const Tile &tile, int branch) {
     const Branch &active = *prepared_.branches[size_t(branch)].branch;
     std::vector<Tensor> outputs;
     size_t total = 0;
-    for (const auto &[name, shape] : model_.graph(active).outputs) {
+    for (const auto &[name, shape] : model_.graph(active.graph).outputs) {
         Tensor tensor{name, {}, nullptr};
         size_t count = 1;
         for (const Dim &dim : shape) {
@@ -243,7 +277,7 @@ void Denoiser::Run::predict(const Tile &tile, int branch) {
     for (Tensor &tensor : outputs)
         tensor.data = logits.data() + offsets_.at(tensor.name);
     report_.times.pack += watch_.lap();
-    model_.session(active).run(inputs, outputs);
+    model_.session(active.graph).run(inputs, outputs);
     report_.times.network += watch_.lap();
 }
 

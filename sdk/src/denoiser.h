@@ -42,6 +42,7 @@ private:
     std::shared_ptr<const Model> model_;
     Threads threads_;
     TensorMemory tensors_;        // kept between tiles and frames
+    Embedding embedding_;         // likewise
     std::vector<float> logits_;   // likewise
     Neighbourhood neighbourhood_; // likewise
     Pyramid pyramid_;             // likewise

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "buffers.h"
+#include "embedding.h"
 #include "error.h"
 #include "pyramid.h"
 
@@ -20,6 +21,7 @@ constexpr size_t max_bytes = 1 << 20;
 constexpr int max_depth = 32;
 constexpr int format_version = 1;
 constexpr int max_kernel = 63;
+constexpr int64_t max_embedding = 1024;
 
 /// A JSON value with the path that leads to it, so that every complaint names its key.
 class Field {
@@ -186,7 +188,8 @@ std::vector<std::string> read_buffers(const Field &field) {
     return names;
 }
 
-Graph read_graph(const Field &field, const std::map<std::string, Shape> &outputs) {
+/// `channels` of what the graph "embedding" gives, 0 where there is none.
+Graph read_graph(const Field &field, const std::map<std::string, Shape> &outputs, int64_t channels) {
     field.keys({"file", "sha256", "inputs", "outputs"});
     Graph graph;
     const Field file = field.at("file"), hash = field.at("sha256");
@@ -198,7 +201,11 @@ Graph read_graph(const Field &field, const std::map<std::string, Shape> &outputs
     if (graph.sha256.size() != 64 || !std::all_of(graph.sha256.begin(), graph.sha256.end(), is_digit))
         hash.wrong("64 lower-case hexadecimal digits");
     for (const auto &[name, input] : field.at("inputs").members()) {
-        const Shape right = input_shape(name);
+        const bool embedded = name == "embedding" && channels > 0;
+        const Shape right = embedded ? embedding_shape(channels) : input_shape(name);
+        if (name == "embedding" && channels == 0)
+            fail(PATHFOLD_INVALID_MODEL,
+                 "manifest.json: a graph has the input embedding, but graphs.embedding is missing");
         if (right.empty())
             fail(PATHFOLD_INVALID_MODEL, "manifest.json: a graph has the input ", name,
                  ", which this version does not know how to feed");
@@ -214,6 +221,43 @@ Graph read_graph(const Field &field, const std::map<std::string, Shape> &outputs
         expect_shape(given.at(name), graph.outputs[name], right);
     }
     return graph;
+}
+
+/// The graph "embedding" sees samples alone: what it gives is summed over parts of them.
+void check_embedding(const Field &field, const Graph &graph) {
+    const auto of_samples = [](const auto &input) { return input.first.rfind("samples.", 0) == 0; };
+    const auto fits = [&](const auto &input) {
+        return of_samples(input) || input.first == "exposure" || input.first == "depth_scale";
+    };
+    const auto &inputs = graph.inputs;
+    if (!std::all_of(inputs.begin(), inputs.end(), fits) ||
+        std::none_of(inputs.begin(), inputs.end(), of_samples))
+        field.at("inputs").wrong("samples' buffers and, if wanted, exposure and depth_scale");
+}
+
+void read_graphs(const Field &field, Manifest &manifest) {
+    std::map<std::string, Shape> embedding;
+    if (field.has("embedding")) {
+        const Field output = field.at("embedding").at("outputs").at("embedding");
+        const std::vector<Field> axes = output.items();
+        if (axes.size() != 4)
+            output.wrong("[1, channels, H/2, W/2]");
+        manifest.embedding_channels = axes[1].integer(1, max_embedding);
+        embedding["embedding"] = embedding_shape(manifest.embedding_channels);
+    }
+    bool read = embedding.empty();
+    for (const auto &[name, item] : field.members()) {
+        const bool embeds = name == "embedding";
+        Graph graph = read_graph(item, embeds ? embedding : manifest.outputs(), manifest.embedding_channels);
+        if (embeds)
+            check_embedding(item, graph);
+        else
+            read = read || graph.inputs.count("embedding") > 0;
+        manifest.graphs[name] = std::move(graph);
+    }
+    if (!read)
+        fail(PATHFOLD_INVALID_MODEL,
+             "manifest.json: there is graphs.embedding, but no graph has the input embedding");
 }
 
 Branch read_branch(const Field &field) {
@@ -272,6 +316,9 @@ void check_references(const Manifest &manifest) {
         if (manifest.graphs.count(branch.graph) == 0)
             fail(PATHFOLD_INVALID_MODEL, "manifest.json: the branch ", branch.name, " names the graph ",
                  branch.graph, ", which is not among graphs");
+        if (branch.graph == "embedding")
+            fail(PATHFOLD_INVALID_MODEL, "manifest.json: the branch ", branch.name,
+                 " names the graph embedding, which sees samples; name one that gives kernels");
         if (!branch.demodulate_by.empty() && !manifest.reads(branch.demodulate_by))
             fail(PATHFOLD_INVALID_MODEL, "manifest.json: the branch ", branch.name, " divides by ",
                  branch.demodulate_by, ", which is in neither requires nor uses");
@@ -308,6 +355,8 @@ Shape input_shape(const std::string &name) {
         return {samples, {kind->channels, ""}, height, width};
     return {};
 }
+
+Shape embedding_shape(int64_t channels) { return {{1, ""}, {channels, ""}, {-1, "H/2"}, {-1, "W/2"}}; }
 
 const Branch &Manifest::unsplit_branch() const {
     return *std::find_if(branches.begin(), branches.end(), [](const Branch &b) { return b.unsplit; });
@@ -359,15 +408,16 @@ Manifest Manifest::parse(const std::string &text) {
     manifest.requires_ = read_buffers(root.at("requires"));
     manifest.uses = read_buffers(root.at("uses"));
     read_reconstruction(root.at("reconstruction"), manifest);
-    for (const auto &[name, graph] : root.at("graphs").members())
-        manifest.graphs[name] = read_graph(graph, manifest.outputs());
+    read_graphs(root.at("graphs"), manifest);
     const Field exposure = root.at("exposure").keys({"rule", "key"});
     exposure.at("rule").one_of({"log-average"});
     manifest.exposure_key = float(exposure.at("key").number(1e-3, 1e3));
     const Field tile = root.at("tile").keys({"alignment", "overlap"});
     manifest.tile_alignment = int(tile.at("alignment").integer(1, 1024));
-    if (manifest.pyramid && manifest.tile_alignment % Pyramid::alignment != 0)
-        tile.at("alignment").wrong("a multiple of ", Pyramid::alignment, " for a pyramid");
+    static_assert(Pyramid::alignment == Embedding::alignment);
+    if ((manifest.pyramid || manifest.embedding_channels > 0) &&
+        manifest.tile_alignment % Pyramid::alignment != 0)
+        tile.at("alignment").wrong("a multiple of ", Pyramid::alignment, " for a pyramid or an embedding");
     // a trusted pixel's own number is read wherever a kernel reaches
     const bool trust = manifest.trust || manifest.pyramid;
     manifest.tile_overlap = int(tile.at("overlap").integer(trust ? manifest.reach() : 0, 4096));

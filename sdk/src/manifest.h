@@ -37,7 +37,8 @@ struct Branch {
 struct Manifest {
     std::string name, description, license, precision, text;
     std::vector<std::string> requires_, uses;
-    std::map<std::string, Graph> graphs;
+    std::map<std::string, Graph> graphs; ///< of branches, and "embedding" where there is one
+    int64_t embedding_channels = 0;      ///< of what that graph makes of samples; 0: there is none
     int kernel_size = 0;
     bool pyramid = false; ///< kernels on five levels instead of one, see pyramid.h
     bool trust = false;   ///< whether networks predict a shift per pixel too, after the kernels' logits
@@ -58,5 +59,8 @@ struct Manifest {
 
 /// The shape that a graph input of that reserved name has, empty where the name is not reserved.
 Shape input_shape(const std::string &name);
+
+/// The shape of the output of the graph "embedding" and of the input of that name.
+Shape embedding_shape(int64_t channels);
 
 } // namespace pathfold::core

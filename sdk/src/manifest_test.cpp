@@ -37,6 +37,34 @@ TEST(Manifest, IsRead) {
     EXPECT_EQ(shape_text(manifest.graphs.at("diffuse").inputs.at("radiance")), "[1, 3, H, W]");
 }
 
+TEST(Manifest, AnEmbeddingSeesSamplesAndIsReadAsWideAsItIs) {
+    const Json sums = {1, 5, "H/2", "W/2"};
+    Json json = good();
+    json["tile"]["alignment"] = 16;
+    json["uses"].push_back("samples.descriptor");
+    json["graphs"]["embedding"] = {{"file", "embedding.onnx"},
+                                   {"sha256", std::string(64, '0')},
+                                   {"inputs", {{"samples.descriptor", {"S", 36, "H", "W"}}}},
+                                   {"outputs", {{"embedding", sums}}}};
+    expect_wrong(json.dump(), "no graph has the input embedding");
+    json["graphs"]["diffuse"]["inputs"]["embedding"] = sums;
+    EXPECT_EQ(Manifest::parse(json.dump()).embedding_channels, 5);
+
+    const auto changed = [&](const char *pointer, const Json &value) {
+        Json copy = json;
+        copy[Json::json_pointer(pointer)] = value;
+        return copy.dump();
+    };
+    expect_wrong(changed("/graphs/diffuse/inputs/embedding", {1, 4, "H/2", "W/2"}), "[1, 5, H/2, W/2]");
+    expect_wrong(changed("/graphs/embedding/inputs/depth", {1, 1, "H", "W"}), "graphs.embedding.inputs",
+                 "samples' buffers");
+    expect_wrong(changed("/graphs/embedding/outputs/embedding", Json::array({1})), "[1, channels, H/2, W/2]");
+    expect_wrong(changed("/reconstruction/branches/0/graph", "embedding"), "names the graph embedding");
+    expect_wrong(changed("/tile/alignment", 8), "tile.alignment is 8", "a multiple of 16");
+    json["graphs"].erase("embedding");
+    expect_wrong(json.dump(), "graphs.embedding is missing");
+}
+
 TEST(Manifest, ComplaintsNameTheKey) {
     expect_wrong("{", "not JSON");
     expect_wrong("[]", "one object");

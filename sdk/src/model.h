@@ -20,8 +20,8 @@ public:
     const std::string &provider() const { return provider_; }
     int threads() const { return threads_; }
     const Manifest &manifest() const { return manifest_; }
-    const Graph &graph(const Branch &branch) const { return manifest_.graphs.at(branch.graph); }
-    const Session &session(const Branch &branch) const { return sessions_.at(branch.graph); }
+    const Graph &graph(const std::string &name) const { return manifest_.graphs.at(name); }
+    const Session &session(const std::string &graph) const { return sessions_.at(graph); }
 
 private:
     std::string folder_, provider_;

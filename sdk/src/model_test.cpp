@@ -29,7 +29,7 @@ TEST(Model, Loads) {
     const Model model(model_folder("split-5"), "cpu", 0);
     EXPECT_GT(model.threads(), 0);
     EXPECT_EQ(model.manifest().name, "split-5");
-    EXPECT_EQ(model.session(model.manifest().branches[0]).outputs().size(), 1u);
+    EXPECT_EQ(model.session(model.manifest().branches[0].graph).outputs().size(), 1u);
 }
 
 TEST(Model, IsFoundByName) {

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <cstring>
 
 #include <oneapi/tbb/combinable.h>
 
@@ -12,8 +14,6 @@ namespace {
 
 constexpr float dead_log = -100.0f; // the descriptor's sentinel for the log of 0
 constexpr int descriptor_logs = 24; // channels 0 to 23 are logs, the rest tags and roughness
-
-int channels_of(const std::string &input) { return int(input_shape(input)[1].size); }
 
 bool is_scalar(const std::string &input) { return input_shape(input).size() == 1; }
 
@@ -32,6 +32,18 @@ void add_vertices(float *pixels, int count, int vertices) {
     }
 }
 
+/// On the bits, so that it runs as vectors.
+bool all_finite(const float *values, int count) {
+    constexpr uint32_t exponent = 0x7f800000;
+    uint32_t bad = 0;
+    for (int i = 0; i < count; ++i) {
+        uint32_t bits;
+        std::memcpy(&bits, values + i, sizeof bits);
+        bad |= uint32_t((bits & exponent) == exponent);
+    }
+    return bad == 0;
+}
+
 bool is_samples(const std::string &input) { return input.rfind("samples.", 0) == 0; }
 
 } // namespace
@@ -41,14 +53,23 @@ Packer::Packer(const Frame &frame, const Prepared &prepared, const Model &model,
     : frame_(frame), prepared_(prepared), model_(model), threads_(threads),
       samples_(std::max<int64_t>(1, frame.samples())), memory_(memory) {
     for (const ActiveBranch &active : prepared.branches)
-        for (const auto &[name, shape] : model.graph(*active.branch).inputs)
+        for (const auto &[name, shape] : model.graph(active.branch->graph).inputs)
             names_.insert(name);
+    if (model.manifest().embedding_channels > 0)
+        for (const auto &[name, shape] : model.graph("embedding").inputs)
+            embedded_.insert(name);
+}
+
+int Packer::channels_of(const std::string &input) const {
+    return int(input == "embedding" ? model_.manifest().embedding_channels : input_shape(input)[1].size);
 }
 
 int64_t Packer::floats_per_pixel() const {
     int64_t floats = 0;
     for (const std::string &name : names_)
-        if (!is_scalar(name))
+        if (name == "embedding")
+            floats += (channels_of(name) + 3) / 4;
+        else if (!is_scalar(name))
             floats += channels_of(name) * (is_samples(name) ? samples_ : 1);
     return floats;
 }
@@ -67,16 +88,29 @@ Tensor Packer::tensor(const std::string &name, std::vector<int64_t> shape) {
     return {name, std::move(shape), memory.data()};
 }
 
-void Packer::start(const Tile &tile) {
+std::vector<Tensor> Packer::samples(const Rect &area, int64_t first, int64_t count) {
+    tile_ = {area, area};
+    std::vector<Tensor> tensors;
+    for (const std::string &name : embedded_) {
+        if (is_scalar(name)) {
+            tensors.push_back(tensor(name, {1}));
+            *tensors.back().data = scalar(name, 0);
+        } else {
+            tensors.push_back(tensor(name, {count, channels_of(name), area.height, area.width}));
+        }
+    }
+    pack_samples(embedded_, first, count);
+    return tensors;
+}
+
+void Packer::start(const Tile &tile, const Embedding &embedding) {
     tile_ = tile;
-    const int64_t height = tile.window.height, width = tile.window.width;
     bool samples = false;
     for (const std::string &name : names_) {
-        if (is_scalar(name))
-            tensor(name, {1});
-        else
-            tensor(name, {is_samples(name) ? samples_ : 1, channels_of(name), height, width});
+        const Tensor packed = tensor(name, shape_of(name));
         samples = samples || is_samples(name);
+        if (name == "embedding")
+            embedding.copy(tile.window, packed.data);
         if (name == "albedo" || name == "normal" || name == "depth")
             pack_guide(name, name);
         // Training drops the demodulator together with the split, so an unsplit frame has none.
@@ -84,25 +118,31 @@ void Packer::start(const Tile &tile) {
             pack_guide(name, prepared_.split ? name : "");
     }
     if (samples)
-        pack_samples();
+        pack_samples(names_, 0, samples_);
+}
+
+/// Of a network's input for the tile at hand.
+std::vector<int64_t> Packer::shape_of(const std::string &input) const {
+    if (is_scalar(input))
+        return {1};
+    const int64_t height = tile_.window.height, width = tile_.window.width;
+    if (input == "embedding")
+        return {1, channels_of(input), Embedding::cells(tile_.window.height),
+                Embedding::cells(tile_.window.width)};
+    return {is_samples(input) ? samples_ : 1, channels_of(input), height, width};
 }
 
 std::vector<Tensor> Packer::inputs(int branch) {
-    const int64_t height = tile_.window.height, width = tile_.window.width;
     const ActiveBranch &active = prepared_.branches[size_t(branch)];
     std::vector<Tensor> tensors;
-    for (const auto &[name, shape] : model_.graph(*active.branch).inputs) {
+    for (const auto &[name, shape] : model_.graph(active.branch->graph).inputs) {
         if (name == "radiance")
             pack_radiance(branch);
         if (name == "variance")
             pack_guide(name, active.variance);
-        if (is_scalar(name)) {
-            tensors.push_back(tensor(name, {1}));
+        tensors.push_back(tensor(name, shape_of(name)));
+        if (is_scalar(name))
             *tensors.back().data = scalar(name, branch);
-        } else {
-            tensors.push_back(
-                tensor(name, {is_samples(name) ? samples_ : 1, channels_of(name), height, width}));
-        }
     }
     return tensors;
 }
@@ -164,17 +204,20 @@ void Packer::pack_guide(const std::string &input, const std::string &buffer) {
     row_counts.combine_each([&](const Counts &part) { counts_ += part; });
 }
 
-void Packer::pack_samples() {
+void Packer::pack_samples(const Names &names, int64_t first, int64_t count) {
     oneapi::tbb::combinable<Counts> row_counts;
     oneapi::tbb::combinable<std::vector<float>> scratch;
-    for_rows(threads_, int(samples_) * tile_.window.height, [&](int row) {
-        pack_sample_row(row / tile_.window.height, row % tile_.window.height, scratch.local(),
+    for_rows(threads_, int(count) * tile_.window.height, [&](int row) {
+        const int64_t slot = row / tile_.window.height;
+        pack_sample_row(names, first + slot, slot, row % tile_.window.height, scratch.local(),
                         row_counts.local());
     });
     row_counts.combine_each([&](const Counts &part) { counts_ += part; });
 }
 
-void Packer::pack_sample_row(int64_t sample, int row, std::vector<float> &scratch, Counts &counts) {
+/// One row of a sample, to its place `slot` in the tensors.
+void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, int row,
+                             std::vector<float> &scratch, Counts &counts) {
     const Rect &window = tile_.window;
     const size_t plane = size_t(window.width) * window.height;
     const auto read = [&](const char *name, int channels, float absent, float *out) {
@@ -196,8 +239,8 @@ void Packer::pack_sample_row(int64_t sample, int row, std::vector<float> &scratc
 
     for (int x = 0; x < window.width; ++x) {
         float *values = descriptor + size_t(x) * channels;
-        const bool finite = std::isfinite(density[x]) && std::isfinite(valid[x]) &&
-                            std::all_of(values, values + channels, [](float v) { return std::isfinite(v); });
+        const bool finite =
+            std::isfinite(density[x]) && std::isfinite(valid[x]) && all_finite(values, channels);
         valid[x] = finite && valid[x] > 0.5f ? 1.0f : 0.0f;
         if (valid[x] == 0) {
             std::fill_n(values, descriptor_logs, dead_log);
@@ -207,12 +250,14 @@ void Packer::pack_sample_row(int64_t sample, int row, std::vector<float> &scratc
         counts.samples_dropped += !finite && in_core(window.x + x, window.y + row);
     }
     const auto write = [&](const char *name, int count, const float *in) {
-        if (names_.count(name) == 0)
+        if (names.count(name) == 0)
             return;
-        float *out = memory_[name].data() + size_t(sample) * count * plane + size_t(row) * window.width;
-        for (int c = 0; c < count; ++c)
-            for (int x = 0; x < window.width; ++x)
-                out[size_t(c) * plane + x] = in[size_t(x) * count + c];
+        float *out = memory_[name].data() + size_t(slot) * count * plane + size_t(row) * window.width;
+        constexpr int block = 16; // pixels that stay in the first cache while their channels are spread
+        for (int begin = 0; begin < window.width; begin += block)
+            for (int c = 0; c < count; ++c)
+                for (int x = begin; x < std::min(begin + block, window.width); ++x)
+                    out[size_t(c) * plane + x] = in[size_t(x) * count + c];
     };
     write("samples.descriptor", channels, descriptor);
     write("samples.density", 1, density);

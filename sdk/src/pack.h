@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "embedding.h"
 #include "engine.h"
 #include "frame.h"
 #include "model.h"
@@ -17,14 +18,17 @@ namespace pathfold::core {
 /// Memory of tensors by name; a denoiser keeps it between frames.
 using TensorMemory = std::map<std::string, std::vector<float>>;
 
-/// The network inputs of one tile after another: planar, sanitised,
+/// The network inputs of one tile after another: planar, sanitised.
 class Packer {
 public:
     Packer(const Frame &frame, const Prepared &prepared, const Model &model, Threads &threads,
            TensorMemory &memory);
 
+    /// The inputs of the graph "embedding" for `count` samples from `first` on. Valid until the next call.
+    std::vector<Tensor> samples(const Rect &area, int64_t first, int64_t count);
+
     /// Starts a tile: packs what its branches share.
-    void start(const Tile &tile);
+    void start(const Tile &tile, const Embedding &embedding);
 
     /// The inputs of one branch's graph for the tile at hand. Valid until the next call.
     std::vector<Tensor> inputs(int branch);
@@ -36,19 +40,24 @@ public:
     int64_t floats_per_pixel() const;
 
 private:
+    using Names = std::set<std::string>;
+
     Tensor tensor(const std::string &name, std::vector<int64_t> shape);
+    std::vector<int64_t> shape_of(const std::string &input) const;
     void pack_radiance(int branch);
     void pack_guide(const std::string &input, const std::string &buffer);
-    void pack_samples();
-    void pack_sample_row(int64_t sample, int row, std::vector<float> &scratch, Counts &counts);
+    void pack_samples(const Names &names, int64_t first, int64_t count);
+    void pack_sample_row(const Names &names, int64_t sample, int64_t slot, int row,
+                         std::vector<float> &scratch, Counts &counts);
     float scalar(const std::string &input, int branch) const;
     bool in_core(int x, int y) const;
+    int channels_of(const std::string &input) const;
 
     const Frame &frame_;
     const Prepared &prepared_;
     const Model &model_;
     Threads &threads_;
-    std::set<std::string> names_; ///< inputs of the graphs at work
+    Names names_, embedded_; ///< inputs of the branches' graphs at work, and of the graph "embedding"
     int64_t samples_;
     Tile tile_;
     TensorMemory &memory_;

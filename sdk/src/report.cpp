@@ -63,6 +63,7 @@ std::string Report::json(const Frame &frame, const Model &model, const Prepared 
         {"ms",
          {{"prepare", times.prepare},
           {"needs", times.needs},
+          {"embedding", times.embedding},
           {"pack", times.pack},
           {"network", times.network},
           {"reconstruct", times.reconstruct},

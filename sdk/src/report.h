@@ -29,9 +29,9 @@ private:
 
 /// Milliseconds spent per stage.
 struct Times {
-    double prepare = 0, needs = 0, pack = 0, network = 0, reconstruct = 0, write = 0;
+    double prepare = 0, needs = 0, embedding = 0, pack = 0, network = 0, reconstruct = 0, write = 0;
 
-    double total() const { return prepare + needs + pack + network + reconstruct + write; }
+    double total() const { return prepare + needs + embedding + pack + network + reconstruct + write; }
 };
 
 /// What one run used, left out and spent.

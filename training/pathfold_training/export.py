@@ -21,6 +21,7 @@ from .fit import training_seconds
 from .networks import embedding, kpcn, pathfold
 from .networks.kpcn import BRANCHES, Branch, Kpcn
 from .networks.pathfold import Pathfold
+from .networks.pathfold_graphs import EmbeddingGraph, NetworkGraph
 from .references import write_references
 from .task import Denoising
 
@@ -28,27 +29,29 @@ OPSET = 18
 CHANNELS = {"radiance": 3, "variance": 3, "albedo": 3, "normal": 3, "depth": 1, "diffuse.albedo": 3}
 CHANNELS |= {"samples.descriptor": DESCRIPTOR_CHANNELS, "samples.density": 1, "samples.valid": 1}
 
+Shape = list[int | str]
+Shapes = dict[str, Shape]  # by name, in the graph's order
 
-def input_shape(name: str) -> list[int | str]:
-    """A graph input's shape as the manifest states it."""
+
+def input_shape(name: str) -> Shape:
+    """The shape of a graph's input that is a buffer or a scalar, as the manifest states it."""
     if name in ("exposure", "depth_scale") or name.endswith(".present"):
         return [1]
     return ["S" if name.startswith("samples.") else 1, CHANNELS[name], "H", "W"]
 
 
-class Graph(nn.Module):
-    """A network with positional inputs and outputs, as the exporter wants them."""
+class BranchGraph(nn.Module):
+    """A branch with positional inputs, as the exporter wants them."""
 
-    def __init__(self, branch: Branch | Pathfold) -> None:
+    def __init__(self, branch: Branch) -> None:
         super().__init__()
         self.branch = branch
 
-    def forward(self, *tensors: Tensor) -> Tensor | tuple[Tensor, ...]:
-        predicted = self.branch(dict(zip(self.branch.input_names(), tensors, strict=True)))
-        if isinstance(self.branch, Pathfold):
-            trust, logits, _ = predicted
-            return (trust, *logits)
-        return predicted.logits
+    def input_shapes(self) -> Shapes:
+        return {name: input_shape(name) for name in self.branch.input_names()}
+
+    def forward(self, *tensors: Tensor) -> Tensor:
+        return self.branch(dict(zip(self.branch.input_names(), tensors, strict=True))).logits
 
 
 def with_trust_as_last_logit(branch: Branch) -> Branch:
@@ -63,7 +66,7 @@ def with_trust_as_last_logit(branch: Branch) -> Branch:
     return joined
 
 
-class Standalone(Graph):
+class Standalone(BranchGraph):
     """The branch's filtered radiance [1, 3, H, W]: the graph with the reconstruction inside, linear and unexposed."""
 
     def __init__(self, branch: Branch, size: int) -> None:
@@ -101,27 +104,30 @@ def load_task(checkpoint: Path) -> tuple[Denoising, dict]:
     return task.float().eval(), state
 
 
-def write_graph(module: Graph, path: Path, outputs: dict[str, list[int | str]]) -> None:
-    """Export one network with dynamic height, width and sample count; `outputs` are names and shapes, in order."""
-    names = module.branch.input_names()
-    height, width, samples = 24, 40, 3  # any example: no size is baked in
-    sizes = {"S": samples, "H": height, "W": width}
-    example = tuple(torch.rand([n if isinstance(n, int) else sizes[n] for n in input_shape(name)]) for name in names)
-    axes = {n: {i: str(s) for i, s in enumerate(input_shape(n)) if isinstance(s, str)} for n in names}
-    axes |= {
-        n: {i: str(s).replace("/", "_over_") for i, s in enumerate(o) if isinstance(s, str)} for n, o in outputs.items()
+def write_graph(module: nn.Module, path: Path, inputs: Shapes, outputs: Shapes) -> dict:
+    """Export a module with dynamic height, width and sample count. Returns the graph's entry in the manifest."""
+    sizes = {"S": 3, "H": 24, "W": 40, "H/2": 16, "W/2": 24}  # any example: no size is baked in
+    example = tuple(torch.rand([n if isinstance(n, int) else sizes[n] for n in shape]) for shape in inputs.values())
+    axes = {
+        name: {i: size.replace("/", "_over_") for i, size in enumerate(shape) if isinstance(size, str)}
+        for name, shape in (inputs | outputs).items()
     }
     torch.onnx.export(
         module.eval(),
         example,
         path,
-        input_names=names,
+        input_names=list(inputs),
         output_names=list(outputs),
         dynamic_axes={n: a for n, a in axes.items() if a},
         opset_version=OPSET,
         dynamo=False,
     )
     onnx.checker.check_model(onnx.load(path), full_check=True)
+    return {"file": path.name, "sha256": sha256(path), "inputs": inputs, "outputs": outputs}
+
+
+def sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) -> Path:
@@ -131,30 +137,18 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) 
     if isinstance(task.model, Pathfold):
         if standalone:
             raise ValueError(f"{task.config.name}: a gather pyramid has no graph with the reconstruction inside")
-        write_graph(Graph(task.model), out / "network.onnx", task.model.output_shapes())
+        own = write_pyramid(task.model, out)
     else:
-        write_branches(task.model, out, standalone)
-    manifest = describe(task, state, out, record)
+        own = write_branches(task.model, out, standalone)
+    manifest = describe(task, state, own, record)
     (out / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
     (out / "README.md").write_text(model_card(manifest))
     write_references(task, out, manifest)
     return out
 
 
-def write_branches(model: Kpcn, out: Path, standalone: bool) -> None:
-    size = model.network.kernel_size
-    for name in BRANCHES:
-        branch = model.branch(name)
-        logits: list[int | str] = [1, size**2 + model.network.trust, "H", "W"]
-        write_graph(Graph(with_trust_as_last_logit(branch)), out / f"{name}.onnx", {"logits": logits})
-        if standalone:
-            filtered: dict[str, list[int | str]] = {"filtered": [1, 3, "H", "W"]}
-            write_graph(Standalone(branch, size), out / f"{name}-standalone.onnx", filtered)
-
-
-def describe(task: Denoising, state: dict, out: Path, record: dict) -> dict:
-    """The manifest (DESIGN: contract 4.5)."""
-    own = describe_pyramid(task.model, out) if isinstance(task.model, Pathfold) else describe_branches(task.model, out)
+def describe(task: Denoising, state: dict, own: dict, record: dict) -> dict:
+    """The manifest (DESIGN: contract 4.5); `own` is the network family's part."""
     return {
         "format": 1,
         "name": task.config.name,
@@ -175,20 +169,19 @@ def macs_per_pixel(model: Kpcn | Pathfold, spp: int = 8) -> float:
     return kpcn.macs_per_pixel(model.network, spp)
 
 
-def describe_graph(network: Branch | Pathfold, file: Path, outputs: dict[str, list[int | str]]) -> dict:
-    return {
-        "file": file.name,
-        "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
-        "inputs": {n: input_shape(n) for n in network.input_names()},
-        "outputs": outputs,
-    }
-
-
-def describe_branches(model: Kpcn, out: Path) -> dict:
-    """KPCN's own part of the manifest: two gathers."""
+def write_branches(model: Kpcn, out: Path, standalone: bool) -> dict:
+    """KPCN's graphs. Returns its own part of the manifest: two gathers."""
     network = model.network
-    logits: list[int | str] = [1, network.kernel_size**2 + network.trust, "H", "W"]
-    graphs = {n: describe_graph(model.branch(n), out / f"{n}.onnx", {"logits": logits}) for n in BRANCHES}
+    logits: Shape = [1, network.kernel_size**2 + network.trust, "H", "W"]
+    graphs = {}
+    for name in BRANCHES:
+        branch = model.branch(name)
+        graph = BranchGraph(with_trust_as_last_logit(branch))
+        graphs[name] = write_graph(graph, out / f"{name}.onnx", graph.input_shapes(), {"logits": logits})
+        if standalone:
+            whole = Standalone(branch, network.kernel_size)
+            filtered: Shapes = {"filtered": [1, 3, "H", "W"]}
+            write_graph(whole, out / f"{name}-standalone.onnx", whole.input_shapes(), filtered)
     paths = ["samples.descriptor", "samples.density"] if network.embedding else []
     uses = ["diffuse", "specular", "diffuse.albedo", "diffuse.variance", "specular.variance"]
     uses += [n for n in OPTIONAL if n != "split"] + (["samples.valid"] if network.embedding else [])
@@ -210,15 +203,23 @@ def describe_branches(model: Kpcn, out: Path) -> dict:
     }
 
 
-def describe_pyramid(model: Pathfold, out: Path) -> dict:
-    """The pathfold family's own part of the manifest: one pyramid, everything but color optional."""
+def write_pyramid(model: Pathfold, out: Path) -> dict:
+    """The pathfold family's graphs. Returns its own part of the manifest: one pyramid, all but color optional."""
+    samples, network = EmbeddingGraph(model), NetworkGraph(model)
+    sums = samples.output_shapes()
+    of_samples = {name: input_shape(name) for name in samples.input_names}
+    of_pixels = {name: sums[name] if name in sums else input_shape(name) for name in network.input_names}
+    graphs = {
+        "embedding": write_graph(samples, out / "embedding.onnx", of_samples, sums),
+        "network": write_graph(network, out / "network.onnx", of_pixels, network.output_shapes()),
+    }
     branch: dict[str, Any] = {"name": "color", "graph": "network", "radiance": "color", "unsplit": True}
     if model.network.demodulate:
         branch["demodulate"] = {"by": "albedo", "epsilon": pathfold.ALBEDO_EPSILON}
     return {
         "requires": ["color"],
         "uses": [n for n in pathfold.OPTIONAL if n != "paths"] + ["samples.descriptor", "samples.valid"],
-        "graphs": {"network": describe_graph(model, out / "network.onnx", model.output_shapes())},
+        "graphs": graphs,
         "reconstruction": {"operator": "pyramid", "branches": [branch]},
         "tile": {"alignment": pathfold.ALIGNMENT, "overlap": pathfold.overlap(model.network)},
     }

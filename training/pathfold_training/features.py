@@ -23,6 +23,7 @@ LOG_FLOOR_RADIANCE, LOG_FLOOR_LIGHT, LOG_FLOOR_ATTENUATION, LOG_FLOOR_DENSITY = 
     -13.8155,
 )
 LOG_CEILING = 87.0  # ln(1e38), the paper's cap
+DESCRIPTOR_SCALES = [30.0] * 3 + [10.0] * 3 + [30.0] * 18 + [19.0] * 6 + [1.0] * 6
 SENTINEL = -99.0  # logs below it stand for raw 0: exposure is not added to them
 
 
@@ -61,20 +62,26 @@ def branch_features(inputs: dict[str, Tensor], demodulate: bool) -> Tensor:
     return torch.cat(parts + present, 1)
 
 
-def descriptor_features(descriptor: Tensor, log_exposure: Tensor) -> Tensor:
-    """F's input from path descriptors N x 36 x H x W (paper: notes 2.1), `log_exposure` [N] or [1].
+def descriptor_logs(descriptor: Tensor, log_exposure: Tensor) -> Tensor:
+    """Path descriptors N x 36 x H x W (paper: notes 2.1), exposed and bounded; `log_exposure` [N] or [1].
 
     Natural logs cross the API; exposure is an addition to the six radiance-like channels; a raw 0 stays at the floor.
     """
     shift = log_exposure.reshape(-1, 1, 1, 1).to(descriptor.dtype)
     light = descriptor[:, 0:6]
-    light = torch.where(light > SENTINEL, light + shift, light)
-    radiance = torch.clamp(light[:, 0:3], LOG_FLOOR_RADIANCE, LOG_CEILING) / 30.0
-    energy = torch.clamp(light[:, 3:6], LOG_FLOOR_LIGHT, LOG_CEILING) / 10.0
-    attenuation = torch.clamp(descriptor[:, 6:24], LOG_FLOOR_ATTENUATION, LOG_CEILING) / 30.0
-    tag = torch.clamp(descriptor[:, 24:30], 0.0, 19.0) / 19.0
+    light = light + shift * (light > SENTINEL)
+    radiance = torch.clamp(light[:, 0:3], LOG_FLOOR_RADIANCE, LOG_CEILING)
+    energy = torch.clamp(light[:, 3:6], LOG_FLOOR_LIGHT, LOG_CEILING)
+    attenuation = torch.clamp(descriptor[:, 6:24], LOG_FLOOR_ATTENUATION, LOG_CEILING)
+    tag = torch.clamp(descriptor[:, 24:30], 0.0, 19.0)
     roughness = torch.sqrt(torch.clamp(descriptor[:, 30:36], 0.0, 1.0))
     return torch.cat([radiance, energy, attenuation, tag, roughness], 1)
+
+
+def descriptor_features(descriptor: Tensor, log_exposure: Tensor) -> Tensor:
+    """F's input: descriptor_logs, each channel divided by about the width of its range."""
+    logs = descriptor_logs(descriptor, log_exposure)
+    return logs / torch.tensor(DESCRIPTOR_SCALES, dtype=logs.dtype, device=logs.device).reshape(1, -1, 1, 1)
 
 
 def density_features(density: Tensor) -> Tensor:

@@ -42,9 +42,7 @@ def denoise(task: Denoising, frame: Prepared, manifest: dict[str, Any]) -> tuple
         radiance = tensor("radiance", part.demodulated).masked_fill(masked, float("nan"))
         with torch.no_grad():
             if isinstance(task.model, Pathfold):
-                trust, logits, _ = task.model(
-                    {name: tensor(name, part.inputs[name]) for name in task.model.input_names()}
-                )
+                trust, logits, _ = task.model({name: tensor(name, block) for name, block in part.inputs.items()})
                 filtered = task.model.reconstruct(trust, logits, radiance)
                 largest = max(float(level.abs().max()) for level in (trust, *logits))
             else:

@@ -67,11 +67,6 @@ class Pathfold(nn.Module):
             head.bias.data.zero_()
         self.trust.bias.data.fill_(TRUST_START)  # type: ignore[union-attr]
 
-    def input_names(self) -> list[str]:
-        """Graph inputs in order; B = 1 when exported."""
-        names = ["radiance", "variance", "albedo", "normal", "depth", "samples.descriptor", "samples.valid"]
-        return names + ["exposure", "depth_scale"] + [f"{name}.present" for name in OPTIONAL]
-
     def forward(
         self, inputs: dict[str, Tensor], counts: list[int] | None = None
     ) -> tuple[Tensor, list[Tensor], Tensor]:
@@ -80,15 +75,27 @@ class Pathfold(nn.Module):
         H and W are rounded up to multiples of 16. At 1/2 there are level 0's logits, four pixels in the channels as
         pixel_shuffle orders them, and then level 1's: B x 150 x H/2 x W/2.
         """
+        paths = self.embed(inputs, counts)
+        sums = embedding_sums(paths, inputs["samples.valid"], counts)
+        trust, logits = self.predict(self.entrance(inputs, sums))
+        return trust, logits, paths
+
+    def embed(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Tensor:
+        """Each sample's descriptor by itself -> N x C x H x W."""
         features = path_features(inputs, counts)
         if torch.is_autocast_enabled(features.device.type):  # before the convolutions' own cast, a copy more
             features = features.to(torch.get_autocast_dtype(features.device.type))
-        paths = self.sample(features.contiguous(memory_format=torch.channels_last))
+        return self.sample(features.contiguous(memory_format=torch.channels_last))
+
+    def entrance(self, inputs: dict[str, Tensor], sums: Tensor) -> Tensor:
+        """Buffers and embedding_sums -> the first layer's result at half resolution, before its ReLU."""
         pixels = functional.pixel_unshuffle(aligned(pixel_features(inputs, self.network.demodulate)), 2)
-        moments = embedding_moments(exact(paths), inputs["samples.valid"], counts)
-        x = torch.cat([pixels, moments], 1).contiguous(memory_format=torch.channels_last)
-        present = torch.stack([inputs[f"{name}.present"].reshape(-1) for name in OPTIONAL], 1)
-        x = torch.relu(self.first(x) + self.presence(present)[:, :, None, None])
+        x = torch.cat([pixels, embedding_moments(sums)], 1).contiguous(memory_format=torch.channels_last)
+        return self.first(x) + self.presence(presence(inputs))[:, :, None, None]
+
+    def predict(self, entrance: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Trust and logits, as `forward` says."""
+        x = torch.relu(entrance)
         skips = []
         for level, down in enumerate(self.down):
             x = down(functional.max_pool2d(x, 2) if level > 0 else x)
@@ -98,7 +105,7 @@ class Pathfold(nn.Module):
         for level in reversed(range(len(self.up))):
             x = self.up[level](skips[level] + upsample(self.project[level](x)))
             logits.insert(0, self.heads[level](x))
-        return trust, logits, paths
+        return trust, logits
 
     @staticmethod
     def output_shapes() -> dict[str, list[int | str]]:
@@ -143,15 +150,25 @@ def pixel_features(inputs: dict[str, Tensor], demodulate: bool) -> Tensor:
     return torch.cat([color, torch.log1p(16.0 * relative), albedo, inputs["normal"], depth], 1)
 
 
-def embedding_moments(paths: Tensor, valid: Tensor, counts: list[int] | None) -> Tensor:
-    """Mean and deviation of N embeddings over 2x2 pixels and each image's samples: B x 2C x H/2 x W/2.
+def presence(inputs: dict[str, Tensor]) -> Tensor:
+    """Which optional inputs there are, B x 5 of 0 and 1."""
+    return torch.stack([inputs[f"{name}.present"].reshape(-1) for name in OPTIONAL], 1)
 
-    `valid` is N x 1 x H x W; where no sample is valid both are 0. H and W are rounded up to multiples of 16.
+
+def embedding_sums(paths: Tensor, valid: Tensor, counts: list[int] | None = None) -> Tensor:
+    """Sums over each image's valid samples, averaged over 2x2 pixels: B x (2C + 1) x H/2 x W/2.
+
+    Of N embeddings, of their squares and of `valid`, N x 1 x H x W. Sums of parts of the samples add up. H and W are
+    rounded up to multiples of 16.
     """
-    paths = paths * valid
+    paths = exact(paths) * valid
     sums = torch.cat([sample_sum(x, counts) for x in (paths, paths.square(), valid)], 1)
-    sums = functional.avg_pool2d(aligned(sums), 2)
-    channels = paths.shape[1]
+    return functional.avg_pool2d(aligned(sums), 2)
+
+
+def embedding_moments(sums: Tensor) -> Tensor:
+    """Mean and deviation, B x 2C x H/2 x W/2, from embedding_sums; where no sample is valid both are 0."""
+    channels = sums.shape[1] // 2
     some = sums[:, -1:]
     moments = sums[:, :-1] / torch.clamp(some, min=0.25)  # one valid sample of the four pixels' makes a quarter
     mean, square = moments[:, :channels], moments[:, channels:]

@@ -1,0 +1,70 @@
+"""A pathfold network as its two ONNX graphs: the same function, arranged so that onnxruntime makes few copies.
+
+`embedding` sees samples, and `network` what is left of them per pixel, so that a frame without paths runs the second
+alone, and a renderer that streams samples needs no other weights.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor, nn
+
+from ..features import DESCRIPTOR_SCALES, descriptor_logs
+from . import pathfold
+from .pathfold import OPTIONAL, PIXEL_CHANNELS, Pathfold
+
+
+class EmbeddingGraph(nn.Module):
+    """Descriptors S x 36 x H x W, their validity and exposure -> pathfold.embedding_sums, 1 x (2C + 1) x H/2 x W/2."""
+
+    input_names = ("samples.descriptor", "samples.valid", "exposure")
+
+    def __init__(self, model: Pathfold) -> None:
+        super().__init__()
+        self.sample = copy.deepcopy(model.sample)
+        self.sample[0].weight.data /= torch.tensor(DESCRIPTOR_SCALES).reshape(1, -1, 1, 1)
+        self.channels = 2 * model.network.embedding + 1
+
+    def forward(self, descriptor: Tensor, valid: Tensor, exposure: Tensor) -> Tensor:
+        paths = self.sample(descriptor_logs(descriptor, torch.log(exposure))) * valid
+        # pooled before they are summed: a quarter of the work
+        parts = [functional.avg_pool2d(pathfold.aligned(x), 2) for x in (paths, paths.square(), valid)]
+        return torch.cat([x.sum(0, keepdim=True) for x in parts], 1)
+
+    def output_shapes(self) -> dict[str, list[int | str]]:
+        return {"embedding": [1, self.channels, "H/2", "W/2"]}
+
+
+class NetworkGraph(nn.Module):
+    """Buffers and the embedding of their samples -> trust and logits, as Pathfold.forward gives them for B = 1."""
+
+    input_names = ("radiance", "variance", "albedo", "normal", "depth", "embedding", "exposure", "depth_scale",
+                   *(f"{name}.present" for name in OPTIONAL))  # fmt: skip
+
+    def __init__(self, model: Pathfold) -> None:
+        super().__init__()
+        self.model = model
+        pixels, moments = model.first.weight.detach().split([4 * PIXEL_CHANNELS, 2 * model.network.embedding], 1)
+        # 3x3 on 2x2 unshuffled pixels is 6x6 of stride 2 on the pixels themselves: no transposed copy
+        blocks = pixels.unflatten(1, (PIXEL_CHANNELS, 2, 2))  # O, C, y, x in the block, y, x of the kernel
+        self.pixels = nn.Parameter(blocks.permute(0, 1, 4, 2, 5, 3).flatten(4, 5).flatten(2, 3).contiguous())
+        # presence as planes seen by the centre alone: adding a vector would leave onnxruntime's blocked layout
+        planes = functional.pad(model.presence.weight.detach()[:, :, None, None], [1] * 4)
+        self.moments = nn.Parameter(torch.cat([moments, planes], 1))
+        self.bias = nn.Parameter((model.first.bias + model.presence.bias).detach())
+
+    def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
+        inputs = dict(zip(self.input_names, tensors, strict=True))
+        features = pathfold.aligned(pathfold.pixel_features(inputs, self.model.network.demodulate))
+        moments = pathfold.embedding_moments(inputs["embedding"])
+        present = pathfold.presence(inputs)[:, :, None, None].expand(-1, -1, *moments.shape[-2:])
+        entrance = functional.conv2d(features, self.pixels, self.bias, stride=2, padding=2)
+        entrance = entrance + functional.conv2d(torch.cat([moments, present], 1), self.moments, padding=1)
+        trust, logits = self.model.predict(entrance)
+        return trust, *logits
+
+    def output_shapes(self) -> dict[str, list[int | str]]:
+        return self.model.output_shapes()
