@@ -25,7 +25,9 @@ class EmbeddingGraph(nn.Module):
     def __init__(self, model: Pathfold) -> None:
         super().__init__()
         self.sample = copy.deepcopy(model.sample)
-        self.sample[0].weight.data /= torch.tensor(DESCRIPTOR_SCALES).reshape(1, -1, 1, 1)
+        first = self.sample[0]
+        assert isinstance(first, nn.Conv2d)
+        first.weight.data /= torch.tensor(DESCRIPTOR_SCALES).reshape(1, -1, 1, 1)
         self.channels = 2 * model.network.embedding + 1
 
     def forward(self, descriptor: Tensor, valid: Tensor, exposure: Tensor) -> Tensor:
@@ -54,6 +56,7 @@ class NetworkGraph(nn.Module):
         # presence as planes seen by the centre alone: adding a vector would leave onnxruntime's blocked layout
         planes = functional.pad(model.presence.weight.detach()[:, :, None, None], [1] * 4)
         self.moments = nn.Parameter(torch.cat([moments, planes], 1))
+        assert model.first.bias is not None
         self.bias = nn.Parameter((model.first.bias + model.presence.bias).detach())
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
