@@ -54,7 +54,7 @@ class Denoiser:
 
     def __init__(
         self,
-        model: str | os.PathLike[str] | _core.Model = "kpcn-vanilla",
+        model: str | os.PathLike[str] | _core.Model = models.DEFAULT,
         *,
         provider: str = "cpu",
         threads: int = 0,
@@ -162,14 +162,14 @@ def denoise(
 ) -> NDArray[np.float32]:
     """Denoise one frame and return its colour, height x width x 3, float32.
 
-    `model` is a name, a folder or a `Denoiser` (None: kpcn-vanilla); everything else is what `Denoiser.run` takes:
+    `model` is a name, a folder or a `Denoiser` (None: pathfold-balanced); everything else is what `Denoiser.run` takes:
     `albedo`, `normal`, `depth`, `diffuse`, `specular`, `diffuse_albedo`, `variance`, `samples`, `exposure`, ...
     Loaded models are kept. With `seconds` or `memory_mb` a `pathfold.Budget` chooses among the shipped models, or how
     to run the one that is named. Raises PathfoldError.
     """
     if seconds is not None or memory_mb is not None:
         return _denoise_within(seconds, memory_mb, model, {"color": color, **buffers})
-    denoiser = model if isinstance(model, Denoiser) else _denoiser(models.find(model or "kpcn-vanilla").resolve())
+    denoiser = model if isinstance(model, Denoiser) else _denoiser(models.find(model or models.DEFAULT).resolve())
     return denoiser.run(color, **buffers).color
 
 

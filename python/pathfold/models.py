@@ -9,6 +9,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+DEFAULT = "pathfold-balanced"  # least error and time of those that need nothing but color
+
 _PACKAGE = Path(__file__).parent
 
 

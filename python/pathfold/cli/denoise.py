@@ -7,20 +7,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pathfold import models
 from pathfold.cli import console
 from pathfold.cli.console import InputError
 
 if TYPE_CHECKING:
     from pathfold.channels import Frame
 
-DEFAULT = "kpcn-vanilla"
-
 
 def denoise(
     source: Annotated[Path, typer.Argument(metavar="IN.exr", help="The noisy picture, or frames.####.exr.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.exr", help="Where the result goes.")],
     model: Annotated[
-        str | None, typer.Option("-m", "--model", help="A model's name or folder.", show_default=DEFAULT)
+        str | None, typer.Option("-m", "--model", help="A model's name or folder.", show_default=models.DEFAULT)
     ] = None,
     mapping: Annotated[
         list[str] | None,
@@ -70,7 +69,7 @@ def denoise(
         check_output(clean)
     denoiser: Denoiser | Budget
     if seconds is None and memory is None:
-        denoiser = Denoiser(model or DEFAULT, provider=provider, threads=threads, leave_out=leave_out)
+        denoiser = Denoiser(model or models.DEFAULT, provider=provider, threads=threads, leave_out=leave_out)
     else:
         denoiser = Budget(seconds, memory, model, provider=provider, threads=threads, leave_out=leave_out)
     exposures = [] if exposure is None else [exposure]
