@@ -1,6 +1,8 @@
 """A pathfold checkpoint becomes a model folder; torch and the SDK agree on it, tiles and layers included."""
 
+import copy
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +10,12 @@ import pytest
 import torch
 from pathfold.check.measure import relative_error, tolerance
 from pathfold.denoising import Denoiser
+from pathfold_training import needs
 from pathfold_training.config import Config, Data, Optimiser, Pyramid
-from pathfold_training.data import Batch
+from pathfold_training.data import Batch, Stored, ValidationViews
 from pathfold_training.export import export, load_task
 from pathfold_training.fit import fit, folder_weights
-from pathfold_training.networks.pathfold import OPTIONAL
+from pathfold_training.networks.pathfold import OPTIONAL, PIXEL_CHANNELS
 from pathfold_training.task import Denoising
 from training_data import write_data_set
 
@@ -198,3 +201,36 @@ def test_manifest_says_what_is_optional(exported: tuple[Path, Denoising]) -> Non
 def test_a_folder_is_no_place_to_start_from(exported: tuple[Path, Denoising]) -> None:
     with pytest.raises(ValueError, match=r"last\.ckpt"):
         folder_weights(exported[0])
+
+
+def test_paths_are_left_out_by_name_where_the_manifest_says_so(
+    exported: tuple[Path, Denoising], tmp_path: Path
+) -> None:
+    folder = tmp_path / "model"
+    shutil.copytree(exported[0], folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["samples_per_pixel"]["without_paths"] = 3
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    plain, bold = (Denoiser(folder, leave_out=names) for names in ("all", "all,paths"))
+    for samples in (2, 3):
+        buffers = frame(20, 24, samples, seed=samples)
+        paths = {"descriptor": buffers.pop("samples.descriptor")}
+        without = plain.run(**buffers).color
+        with_paths, left_out = plain.run(**buffers, samples=paths), bold.run(**buffers, samples=paths)
+        assert not np.array_equal(without, with_paths.color)
+        np.testing.assert_array_equal(left_out.color, without if samples == 3 else with_paths.color)
+        what = [line["what"] for line in left_out.report["left_out"]]
+        assert ("paths" in what) == (samples == 3)
+        assert left_out.report["samples_per_pixel"] == samples
+
+
+def test_from_which_spp_on_paths_can_go_is_measured(exported: tuple[Path, Denoising], tmp_path: Path) -> None:
+    assert needs.least([2, 4, 8], [1.5, 1.01, 1.02]) == 4
+    assert needs.least([2, 4, 8], [1.0, 1.5, 1.0]) == 8
+    assert needs.least([2, 4, 8], [1.0, 1.0, 1.1]) is None
+    views = Stored(write_data_set(tmp_path / "data")).held_out()
+    blind = copy.deepcopy(exported[1]).eval()
+    blind.model.first.weight.data[:, 4 * PIXEL_CHANNELS :] = 0  # sees nothing of the embedding
+    blind.model.presence.weight.data.zero_()
+    assert needs.samples_without_paths(blind, views) == 2
+    assert needs.ratio(exported[1], ValidationViews(views, True, 2)) != 1

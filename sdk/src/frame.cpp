@@ -94,6 +94,14 @@ int64_t Frame::samples() const {
     return 0;
 }
 
+Frame Frame::without_samples() const {
+    Frame pixels = *this;
+    for (const auto &[name, view] : inputs_)
+        if (find_buffer(name)->per_sample)
+            pixels.inputs_.erase(name);
+    return pixels;
+}
+
 bool Frame::split(const Manifest &manifest) const {
     for (const Branch &branch : manifest.branches) {
         const bool modulated = branch.demodulate_by.empty() || has(branch.demodulate_by);

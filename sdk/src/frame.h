@@ -41,6 +41,8 @@ public:
     int height() const { return inputs_.begin()->second.height(); }
     int64_t samples() const; ///< per pixel, 0 where no samples were given
 
+    Frame without_samples() const;
+
     /// Whether each branch of the model gets radiance of its own.
     bool split(const Manifest &manifest) const;
 

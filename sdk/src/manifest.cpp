@@ -421,9 +421,11 @@ Manifest Manifest::parse(const std::string &text) {
     // a trusted pixel's own number is read wherever a kernel reaches
     const bool trust = manifest.trust || manifest.pyramid;
     manifest.tile_overlap = int(tile.at("overlap").integer(trust ? manifest.reach() : 0, 4096));
-    const Field samples = root.at("samples_per_pixel").keys({"min", "max"});
+    const Field samples = root.at("samples_per_pixel").keys({"min", "max", "without_paths"});
     manifest.min_samples = samples.at("min").integer(1, 1 << 30);
     manifest.max_samples = samples.at("max").integer(manifest.min_samples, 1 << 30);
+    if (samples.has("without_paths"))
+        manifest.without_paths = samples.at("without_paths").integer(1, 1 << 30);
     manifest.precision = root.at("precision").string();
     check_references(manifest);
     return manifest;

@@ -89,6 +89,7 @@ TEST(Manifest, ComplaintsNameTheKey) {
     expect_wrong(with("/tile/overlap", 1.5), "tile.overlap is 1.5");
     expect_wrong(with("/reconstruction/trust", 1), "reconstruction.trust is 1");
     expect_wrong(with("/samples_per_pixel/max", 0), "samples_per_pixel.max");
+    expect_wrong(with("/samples_per_pixel/without_paths", 0), "samples_per_pixel.without_paths");
     expect_wrong(with("/exposure/key", 1e9), "exposure.key");
     expect_wrong(with("/name", ""), "name is \"\"", "not empty");
     expect_wrong(with("/requires", {"color", "color"}), "requires[1]", "once");

@@ -29,7 +29,7 @@ bool stays_itself(const Signal &signal, const Rect &area) {
 }
 
 const LeaveOut exact = {"branches", "tiles", "inputs"};
-const LeaveOut approximate = {"converged"};
+const LeaveOut approximate = {"converged", "paths"};
 
 } // namespace
 
@@ -66,6 +66,13 @@ std::vector<std::string> unread_buffers(const Frame &frame, const Manifest &mani
             unread.push_back(name);
     }
     return unread;
+}
+
+bool does_without_paths(const Frame &frame, const Manifest &manifest, int64_t samples) {
+    const auto &required = manifest.requires_;
+    return manifest.without_paths > 0 && samples >= manifest.without_paths &&
+           frame.has("samples.descriptor") && manifest.reads("samples.descriptor") &&
+           std::find(required.begin(), required.end(), "samples.descriptor") == required.end();
 }
 
 bool is_converged(const Frame &frame, const Prepared &prepared, const Rect &core, int64_t samples) {

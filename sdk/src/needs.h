@@ -18,7 +18,8 @@ struct LeftOut {
 
 /// The names of what may be left out. Exact ones: "branches" (a branch that changes nothing in the frame or
 /// in a tile), "tiles" (in which no branch changes anything), "inputs" (given, but not read by the model for
-/// this frame). Approximate: "converged" (tiles whose expected error is small already).
+/// this frame). Approximate: "converged" (tiles whose expected error is small already), "paths" (the samples'
+/// descriptors, from the number of samples per pixel on that the manifest states).
 using LeaveOut = std::set<std::string>;
 
 /// "all" (every exact one), "none", or names separated by commas. Throws invalid-argument.
@@ -26,6 +27,10 @@ LeaveOut parse_leave_out(const std::string &text);
 
 /// The buffers of the frame that the model does not read.
 std::vector<std::string> unread_buffers(const Frame &frame, const Manifest &manifest, bool split);
+
+/// Whether the model does as well on the frame without its path descriptors: its manifest says from how many
+/// samples per pixel on, and does not require them.
+bool does_without_paths(const Frame &frame, const Manifest &manifest, int64_t samples);
 
 /// The expected RelL2 at which a tile has converged.
 constexpr double converged_error = 1e-4;

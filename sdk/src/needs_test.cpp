@@ -46,6 +46,29 @@ TEST(Needs, LayersKeepABranchBusy) {
     EXPECT_FALSE(is_idle(prepared, 0, tile, 2));
 }
 
+TEST(Needs, PathsWhereTheManifestSaysSo) {
+    const Pixels color = noise(4, 4, 3, 1);
+    const std::vector<float> values(size_t(4) * 4 * 4 * 36);
+    const pathfold_image image = color.image(),
+                         paths = pathfold_packed(values.data(), PATHFOLD_FLOAT32, 4, 4, 4, 36);
+    Frame frame;
+    frame.set_input("color", &image);
+    Manifest manifest;
+    manifest.uses = {"samples.descriptor"};
+    manifest.without_paths = 4;
+    EXPECT_FALSE(does_without_paths(frame, manifest, 4)); // there are none
+    frame.set_input("samples.descriptor", &paths);
+    EXPECT_TRUE(does_without_paths(frame, manifest, 4));
+    EXPECT_FALSE(does_without_paths(frame, manifest, 3));
+    EXPECT_FALSE(frame.without_samples().has("samples.descriptor"));
+    EXPECT_TRUE(frame.without_samples().has("color"));
+    manifest.without_paths = 0;
+    EXPECT_FALSE(does_without_paths(frame, manifest, 4));
+    manifest.without_paths = 4;
+    manifest.requires_ = {"samples.descriptor"};
+    EXPECT_FALSE(does_without_paths(frame, manifest, 4));
+}
+
 TEST(Needs, UnreadBuffers) {
     const Pixels color = noise(4, 4, 3, 1);
     const pathfold_image image = color.image();

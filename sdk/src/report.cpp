@@ -44,7 +44,7 @@ std::string Report::json(const Frame &frame, const Model &model, const Prepared 
         {"threads", model.threads()},
         {"width", frame.width()},
         {"height", frame.height()},
-        {"samples_per_pixel", frame.samples()},
+        {"samples_per_pixel", samples},
         {"split", prepared.split},
         {"exposure", prepared.exposure},
         {"depth_scale", prepared.depth_scale},

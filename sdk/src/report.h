@@ -39,6 +39,7 @@ struct Report {
     std::vector<std::string> branches; ///< that ran
     std::vector<LeftOut> left_out;
     std::vector<std::string> notes;
+    int64_t samples = 0; ///< per pixel; 0: not known
     size_t tiles = 0;
     int tile_width = 0, tile_height = 0; ///< of the largest core
     Times times;

@@ -139,14 +139,21 @@ def export(
     run: Annotated[Path, typer.Argument(help="folder of 'fit', with last.ckpt and record.json")],
     out: Annotated[Path, typer.Option("--out", "-o", help="model folder to write")],
     standalone: Annotated[bool, typer.Option(help="also graphs with the reconstruction inside")] = False,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="data set on whose held-out views to measure from which spp on paths can be left out"),
+    ] = None,
 ) -> None:
     """Write a model folder: ONNX graphs, manifest and model card."""
+    from .data import Stored
     from .export import export as write
 
     checkpoint = run / "last.ckpt"
     if not checkpoint.is_file():
         raise ValueError(f"{run} holds no last.ckpt; give the --out folder of 'pathfold-train fit'")
-    console.print(f"model: {write(checkpoint, out, json.loads((run / 'record.json').read_text()), standalone)}")
+    held_out = Stored(data).held_out() if data else ()
+    record = json.loads((run / "record.json").read_text())
+    console.print(f"model: {write(checkpoint, out, record, standalone, held_out)}")
 
 
 @app.command()

@@ -236,9 +236,13 @@ def drop_inputs(inputs: Inputs, rng: np.random.Generator, data: Data) -> None:
     for name in ("variance", "diffuse.variance", "specular.variance"):
         inputs[name] = inputs[name] * inputs["variance.present"]
     if data.drop_paths > 0.0 and rng.random() < data.drop_paths:
-        inputs["paths.present"] = torch.tensor(0.0)
-        for name in (*PATH_NAMES, "samples.valid"):
-            inputs[name] = torch.zeros_like(inputs[name][:1])
+        inputs.update(without_paths(inputs))
+
+
+def without_paths(inputs: Inputs) -> Inputs:
+    """What the networks see of one frame without path descriptors: a sample that is not valid, and presence 0."""
+    absent = {name: torch.zeros_like(inputs[name][:1]) for name in (*PATH_NAMES, "samples.valid") if name in inputs}
+    return inputs | absent | {"paths.present": torch.zeros_like(inputs["paths.present"])}
 
 
 def collate(frames: list[tuple[Inputs, Inputs]]) -> Batch:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from torch.nn.utils import parametrize
 
 from .card import model_card
 from .config import Config
+from .data import View
 from .features import DEMODULATION_EPSILON, DESCRIPTOR_CHANNELS, OPTIONAL
 from .fit import training_seconds
+from .needs import samples_without_paths
 from .networks import embedding, kpcn, pathfold
 from .networks.kpcn import BRANCHES, Branch, Kpcn
 from .networks.pathfold import Pathfold
@@ -130,8 +133,11 @@ def sha256(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) -> Path:
-    """Write the model folder `out`; `record` is the training run's record.json. Returns `out`."""
+def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False, held_out: Sequence[View] = ()) -> Path:
+    """Write the model folder `out`; `record` is the training run's record.json. Returns `out`.
+
+    On `held_out` views a model that can do without path descriptors is tried without, see needs.py.
+    """
     task, state = load_task(checkpoint)
     out.mkdir(parents=True, exist_ok=True)
     if isinstance(task.model, Pathfold):
@@ -141,6 +147,8 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False) 
     else:
         own = write_branches(task.model, out, standalone)
     manifest = describe(task, state, own, record)
+    if held_out and isinstance(task.model, Pathfold) and (spp := samples_without_paths(task.eval(), held_out)):
+        manifest["samples_per_pixel"]["without_paths"] = spp
     (out / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
     (out / "README.md").write_text(model_card(manifest))
     write_references(task, out, manifest)

@@ -47,7 +47,7 @@ def denoise(
         str,
         typer.Option(
             help="What is not computed where the picture does not need it: all, none, or some of branches, tiles, "
-            "inputs (exact) and converged (approximate), with commas between."
+            "inputs (exact), converged and paths (approximate), with commas between."
         ),
     ] = "all",
     keep_samples: Annotated[bool, typer.Option("--keep-samples", help="Copy the noisy samples as well.")] = False,
