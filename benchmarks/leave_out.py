@@ -27,6 +27,7 @@ from pathfold.rendering import Camera
 
 TILE = 64
 SEED, MAX_DEPTH = 1, 8
+SPP = 16  # of the made-up frames
 
 
 def frames(width: int, height: int) -> dict[str, tuple[str, dict[str, np.ndarray]]]:
@@ -41,12 +42,14 @@ def frames(width: int, height: int) -> dict[str, tuple[str, dict[str, np.ndarray
     for name in ("diffuse", "specular"):
         dark[name][:, : width // 2] = 0
     variance = np.full((height, width, 3), 1e-6, np.float32)
+    descriptors = rng.normal(-2, 3, (SPP, height, width, 36)).astype(np.float32)
     return {
         "nothing": ("all", full),
         "the specular branch": ("all", {**full, "specular": np.zeros_like(full["specular"])}),
         "half of the tiles": ("all", dark),
         "color and variance": ("all", {**full, "color": full["diffuse"] + full["specular"], "variance": variance}),
         "converged tiles": ("all,converged", {"color": 1 + noise(), "variance": variance}),
+        "path descriptors": ("all,paths", {"color": 1 + noise(), "samples": {"descriptor": descriptors}}),
     }
 
 
@@ -139,7 +142,10 @@ def main() -> None:
         render_table(options)
         return
     width, height = map(int, options.size.split("x"))
-    ready = {names: Denoiser(options.model, tile=TILE, leave_out=names) for names in ("none", "all", "all,converged")}
+    ready = {
+        names: Denoiser(options.model, tile=TILE, leave_out=names)
+        for names in ("none", "all", "all,converged", "all,paths")
+    }
     print(f"{options.model}, {width}x{height}, tiles of {TILE}, median of {options.rounds}")
     print(f"{'not needed':22}{'none ms':>10}{'lean ms':>10}{'ratio':>8}{'needs':>9}{'saved':>9}{'said':>9}")
     for what, (names, buffers) in frames(width, height).items():
@@ -147,7 +153,7 @@ def main() -> None:
         for turn in range(options.rounds + 1):
             for chosen, times in took.items():
                 start = time.perf_counter()
-                result = ready[chosen].run(**buffers, samples_per_pixel=16)
+                result = ready[chosen].run(**buffers, samples_per_pixel=SPP)
                 if turn:  # the first one warms up
                     times.append(1e3 * (time.perf_counter() - start))
         without, lean = median(took["none"]), median(took[names])
