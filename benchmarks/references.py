@@ -9,6 +9,7 @@ mean. WORK keeps data sets and checkpoints; the same command goes on where it wa
 """
 
 import argparse
+import json
 import math
 import resource
 from pathlib import Path
@@ -33,19 +34,15 @@ def core_seconds() -> float:
     )
 
 
-def render_for(seconds: float, folder: Path, budget: float) -> float:
-    """Renders views until the core time is spent; returns what was spent. Unfinished rounds are not begun again."""
-    spent_file, spent = folder / "core-seconds", 0.0
-    if spent_file.exists():
-        return float(spent_file.read_text())
-    number = 0
-    while spent < seconds:
-        number += ROUND
+def render_for(seconds: float, folder: Path, budget: float) -> None:
+    """Renders rounds of views, each of its own seed, until the core time is spent; what a stopped one took is lost."""
+    done = folder / "rounds.json"
+    spent = json.loads(done.read_text()) if done.exists() else []
+    while sum(spent) < seconds:
         start = core_seconds()
-        render(folder, procedural=number, budget=budget, held_out=0.15)
-        spent += core_seconds() - start
-    spent_file.write_text(str(spent))
-    return spent
+        render(folder, procedural=ROUND, budget=budget, seed=len(spent), held_out=0.15)
+        spent.append(core_seconds() - start)
+        done.write_text(json.dumps(spent))
 
 
 def score(checkpoint: Path, held_out: ValidationViews) -> float:

@@ -146,7 +146,8 @@ class Budget:
         for candidate in self._candidates(buffers):
             given = _without_paths(buffers) if candidate.paths is False else buffers
             denoiser = Denoiser(candidate.name, **self._options)
-            plan = self._plan(_try(denoiser, given, samples_per_pixel), Tiling.of(denoiser), given, later_mb)
+            trial = Denoiser(denoiser.model, **self._options | {"leave_out": "none"})  # the piece may need nothing
+            plan = self._plan(_try(trial, given, samples_per_pixel), Tiling.of(denoiser), given, later_mb)
             spent = perf_counter() - begin
             until = spent + TIME_MARGIN * plan.seconds
             if self.memory_mb is not None and plan.memory_mb > self.memory_mb:
@@ -163,9 +164,12 @@ class Budget:
                     lines.append(f"gave up larger tiles: with overlap these are {plan.overlapping:.1f} pictures")
                 ready = Denoiser(denoiser.model, tile=plan.edge, **self._options)
                 return Choice(ready, given, plan.seconds, plan.memory_mb, lines)
-            del denoiser  # before the next one is loaded
+            del denoiser, trial  # before the next one is loaded
         ratio, words = min(refused)
-        raise failure("unsupported", f"nothing stays inside {self}. Nearest is {words}; give {ratio:.1f} times as much")
+        raise failure(
+            "unsupported",
+            f"nothing stays inside {self}. Nearest is {words}; give {ceil(10 * ratio) / 10:g} times as much",
+        )
 
     def _candidates(self, buffers: Buffers) -> list[Candidate]:
         found = []

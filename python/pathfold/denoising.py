@@ -45,7 +45,7 @@ class Denoiser:
     share (with its `provider` and `threads`). `provider` names the onnxruntime execution
     provider ("cpu", "cuda", ...); one that is not there is an error, never replaced. `threads` 0 means all
     cores,
-    `memory_mb` caps the memory of a run (0: no cap), `tile` forces the tile's side in pixels (0: planned).
+    `memory_mb` bounds the working memory of a tile (0: chosen), `tile` forces the tile's side in pixels (0: planned).
     `leave_out` says what is not computed where a frame does not need it: "all" (every exact one: "branches", "tiles",
     "inputs"), "none", or names with commas between; approximate and by name only: "converged" ("all,converged"), tiles
     of at least 16 samples and known variance whose expected RelL2 is at most 1e-4 already; "paths": the samples, where
@@ -99,7 +99,8 @@ class Denoiser:
         (optional)}; the descriptor may have 6 + 5 * vertices channels where no path has 6 vertices.
         `samples_per_pixel` of the frame, 0: as many as there are in `samples`.
         `layers`: AOVs to filter alike, {"key light": {"color": ...}} or {..: {"diffuse": ..., "specular":
-        ...}}. Give `diffuse`, `specular` and `diffuse_albedo` for the better split filtering, else `color`.
+        ...}}. Give `diffuse`, `specular` and `diffuse_albedo` to models that
+        filter the two apart (the kpcn ones), else `color`.
         `exposure` replaces the automatic factor; `progress` gets the fraction done and returns False to
         cancel. Raises PathfoldError that names the buffer, what was given and what would be right.
         """

@@ -55,7 +55,7 @@ public:
         : denoiser_(denoiser), frame_(frame), settings_(settings), model_(*denoiser.model_),
           manifest_(model_.manifest()), threads_(denoiser.threads_),
           prepared_(prepare(frame, manifest_, settings.exposure, threads_)),
-          packer_(frame, prepared_, model_, threads_, denoiser.tensors_), results_(prepared_.signals.size()),
+          packer_(frame, prepared_, model_, threads_, denoiser.tensors_, samples_per_pixel(frame, settings)), results_(prepared_.signals.size()),
           work_(prepared_.branches.size()), left_out_(prepared_.branches.size()) {
         if (!leaves_out("inputs"))
             for (const std::string &name : unread_buffers(frame, manifest_, prepared_.split))
@@ -65,6 +65,9 @@ public:
                 {"paths", text("approximately: from ", manifest_.without_paths,
                                " samples per pixel on the model's RelL2 without them is at most 1.02 times that "
                                "with them, in the mean")});
+        else if (leaves_out("paths") && frame.has("samples.descriptor") && manifest_.without_paths == 0)
+            report_.notes.push_back("paths are not left out: the model's manifest does not say from how many "
+                                    "samples per pixel on it does as well without");
         report_.samples = samples_per_pixel(frame, settings);
         report_.times.prepare = watch_.lap();
     }
@@ -487,7 +490,7 @@ void Denoiser::Run::finish_report() {
     report_tiles("converged",
                  text("approximately: their expected RelL2 is at most ", converged_error, " already"));
     report_inputs();
-    const int64_t samples = frame_.samples();
+    const int64_t samples = report_.samples;
     if (samples > 0 && (samples < manifest_.min_samples || samples > manifest_.max_samples))
         report_.notes.push_back(text(samples, " samples per pixel; the model was trained on ",
                                      manifest_.min_samples, " to ", manifest_.max_samples));

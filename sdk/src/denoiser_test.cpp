@@ -399,6 +399,20 @@ TEST(Denoiser, InputsThatAreNotReadAreLeftOut) {
     }
 }
 
+TEST(Denoiser, OneSampleTellsNoVariance) {
+    Scene scene = Scene::full(20, 24), unknown = scene;
+    for (const char *name : {"diffuse.variance", "specular.variance"})
+        for (float &value : scene.buffers.at(name).values)
+            value = 0;
+    unknown.buffers = scene.buffers;
+    unknown.buffers.erase("diffuse.variance");
+    unknown.buffers.erase("specular.variance");
+    const Pixels without = unknown.denoise("split-5");
+    EXPECT_NE(scene.denoise("split-5").values, without.values); // known to be 0
+    scene.settings.samples_per_pixel = 1;
+    EXPECT_EQ(scene.denoise("split-5").values, without.values);
+}
+
 TEST(Denoiser, ConvergedTilesAreCopiedWhereAsked) {
     // Every pixel is within its deviation of a smooth truth: of little noise on the left.
     Scene scene = Scene::color(32, 64);

@@ -21,7 +21,7 @@ constexpr size_t max_bytes = 1 << 20;
 constexpr int max_depth = 32;
 constexpr int format_version = 1;
 constexpr int max_kernel = 63;
-constexpr int64_t max_embedding = 1024;
+constexpr int64_t max_embedding = 64; // their sums are held for the whole frame
 
 /// A JSON value with the path that leads to it, so that every complaint names its key.
 class Field {

@@ -72,7 +72,8 @@ bool does_without_paths(const Frame &frame, const Manifest &manifest, int64_t sa
     const auto &required = manifest.requires_;
     return manifest.without_paths > 0 && samples >= manifest.without_paths &&
            frame.has("samples.descriptor") && manifest.reads("samples.descriptor") &&
-           std::find(required.begin(), required.end(), "samples.descriptor") == required.end();
+           std::none_of(required.begin(), required.end(),
+                        [](const std::string &name) { return name.rfind("samples.", 0) == 0; });
 }
 
 bool is_converged(const Frame &frame, const Prepared &prepared, const Rect &core, int64_t samples) {

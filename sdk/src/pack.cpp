@@ -49,9 +49,9 @@ bool is_samples(const std::string &input) { return input.rfind("samples.", 0) ==
 } // namespace
 
 Packer::Packer(const Frame &frame, const Prepared &prepared, const Model &model, Threads &threads,
-               TensorMemory &memory)
+               TensorMemory &memory, int64_t samples)
     : frame_(frame), prepared_(prepared), model_(model), threads_(threads),
-      samples_(std::max<int64_t>(1, frame.samples())), memory_(memory) {
+      samples_(std::max<int64_t>(1, frame.samples())), behind_(samples), memory_(memory) {
     for (const ActiveBranch &active : prepared.branches)
         for (const auto &[name, shape] : model.graph(active.branch->graph).inputs)
             names_.insert(name);
@@ -158,7 +158,7 @@ float Packer::scalar(const std::string &input, int branch) const {
     if (buffer == "paths")
         return frame_.has("samples.descriptor") ? 1.0f : 0.0f;
     if (buffer == "variance") // a single sample tells nothing of it
-        return frame_.has(prepared_.branches[size_t(branch)].variance) && frame_.samples() != 1 ? 1.0f : 0.0f;
+        return frame_.has(prepared_.branches[size_t(branch)].variance) && behind_ != 1 ? 1.0f : 0.0f;
     return frame_.has(buffer) ? 1.0f : 0.0f;
 }
 

@@ -21,8 +21,9 @@ using TensorMemory = std::map<std::string, std::vector<float>>;
 /// The network inputs of one tile after another: planar, sanitised.
 class Packer {
 public:
+    /// `samples` per pixel are behind the frame, 0: not known, whether it holds them or not.
     Packer(const Frame &frame, const Prepared &prepared, const Model &model, Threads &threads,
-           TensorMemory &memory);
+           TensorMemory &memory, int64_t samples);
 
     /// The inputs of the graph "embedding" for `count` samples from `first` on. Valid until the next call.
     std::vector<Tensor> samples(const Rect &area, int64_t first, int64_t count);
@@ -58,7 +59,7 @@ private:
     const Model &model_;
     Threads &threads_;
     Names names_, embedded_; ///< inputs of the branches' graphs at work, and of the graph "embedding"
-    int64_t samples_;
+    int64_t samples_, behind_;
     Tile tile_;
     TensorMemory &memory_;
     Counts counts_;

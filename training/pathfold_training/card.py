@@ -20,7 +20,10 @@ def model_card(manifest: dict[str, Any]) -> str:
     operator = f"both branches, plus the {side}x{side} gather" if side else "plus the gather pyramid"
     cost = f"{training['kmac_per_pixel']:.0f} kMAC per pixel at 8 spp, {operator}"
     steps = f"{training['steps']} of {crops['batch']} crops of {crops['crop']}x{crops['crop']} pixels{begun}"
-    weights = f"{config['loss']['branch']:g} on each branch, manifold lambda {config['loss']['manifold']:g}"
+    loss = config["loss"]
+    weights = f"{loss.get('image', 'robust')} relative error of the image"
+    weights += f", {loss['branch']:g} on each branch" if side else ""  # a pyramid has but one
+    weights += f", manifold lambda {loss['manifold']:g}"
     rate = f"{optimiser['learning_rate']:g} with a cosine to {optimiser['final_fraction']:g} of it"
     return f"""---
 license: apache-2.0
@@ -46,7 +49,7 @@ tags: [monte-carlo-denoising, kernel-prediction]
 | | |
 |---|---|
 | steps | {steps} |
-| loss | robust relative error of the image, {weights} |
+| loss | {weights} |
 | optimiser | Adam, learning rate {rate} |
 | views | {data["views"]} for training ({data["procedural"]} procedural), {data["validation_views"]} held out |
 | library scenes | {scenes} |

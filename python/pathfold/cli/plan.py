@@ -56,6 +56,8 @@ def plan(
         raise typer.BadParameter("either name a SCENE.xml to plan for, or give --check and no scene")
     if error is not None and seconds is not None:
         raise typer.BadParameter("give --error or --seconds, not both")
+    if check and (as_json or size is not None or error is not None or seconds is not None):
+        raise typer.BadParameter("--check takes --measurements alone")
     measured = load(measurements)
     if check:
         for line in plancheck.markdown(measured).splitlines():

@@ -73,7 +73,7 @@ def render(
         with console.progress(denoiser.model.name, quiet) as bar:
             blocks = {f"samples.{name}": block for name, block in samples.items()}
             whole = needs.restore_split(buffers, all_light, reads) if all_light else buffers
-            result = denoiser.run_buffers({**whole, **blocks}, exposure=exposure, progress=bar)
+            result = denoiser.run_buffers({**whole, **blocks}, samples_per_pixel=spp, exposure=exposure, progress=bar)
         for line in () if quiet else result_lines(result.report):
             console.say(line)
         buffers |= {name: pixels for name, pixels in result.images().items() if name in buffers}
