@@ -338,3 +338,10 @@ def test_evaluate_goes_the_same_way(tmp_path: Path, tiny: Path) -> None:
     table = (tmp_path / "out" / "table.md").read_text()
     assert f"| **all** | | **{by['kpcn-manifold'] / by['kpcn-vanilla']:.3f}** |" in table
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"results.jsonl", "table.md", "tiny-1spp.jpg"}
+
+
+def test_a_models_fingerprint_is_of_what_its_results_depend_on(tiny_models: Path) -> None:
+    manifest = json.loads((tiny_models / "split-5" / "manifest.json").read_text())
+    own = candidates.fingerprint(manifest)
+    assert candidates.fingerprint(manifest | {"training": {"seed": 7}, "description": "another"}) == own
+    assert candidates.fingerprint(manifest | {"graphs": {}}) != own

@@ -1,5 +1,6 @@
 """What a bench compares: the noisy picture, Open Image Denoise, and every model."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -51,9 +52,14 @@ def find(argument: str) -> Candidate:
     except Exception as error:
         others = ", ".join((NOISY, *PEERS))
         raise failure("not-found", f"{error}; besides models there are {others}") from error
-    manifest = (folder / "manifest.json").read_bytes()  # holds the hashes of its graphs
     reads = frozenset({"color", *models.inputs(folder)})
-    return Candidate(folder.name, argument, reads, sha256(manifest).hexdigest()[:12], lambda: _model(folder))
+    return Candidate(folder.name, argument, reads, fingerprint(models.manifest(folder)), lambda: _model(folder))
+
+
+def fingerprint(manifest: dict[str, Any]) -> str:
+    """Of what a model's results depend on: its graphs, by their hashes, and what is done with what they say."""
+    parts = {name: manifest.get(name) for name in ("requires", "uses", "graphs", "reconstruction", "exposure", "tile")}
+    return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def find_all(arguments: Sequence[str]) -> list[Candidate]:
