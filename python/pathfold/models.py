@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-DEFAULT = "pathfold-balanced"  # least error and time of those that need nothing but color
+DEFAULT = "pathfold-balanced"  # a third of the time of kpcn-vanilla, the other one that needs nothing but color
 
 _PACKAGE = Path(__file__).parent
 

@@ -55,16 +55,18 @@ public:
         : denoiser_(denoiser), frame_(frame), settings_(settings), model_(*denoiser.model_),
           manifest_(model_.manifest()), threads_(denoiser.threads_),
           prepared_(prepare(frame, manifest_, settings.exposure, threads_)),
-          packer_(frame, prepared_, model_, threads_, denoiser.tensors_, samples_per_pixel(frame, settings)), results_(prepared_.signals.size()),
-          work_(prepared_.branches.size()), left_out_(prepared_.branches.size()) {
+          packer_(frame, prepared_, model_, threads_, denoiser.tensors_, samples_per_pixel(frame, settings)),
+          results_(prepared_.signals.size()), work_(prepared_.branches.size()),
+          left_out_(prepared_.branches.size()) {
         if (!leaves_out("inputs"))
             for (const std::string &name : unread_buffers(frame, manifest_, prepared_.split))
                 read_unneeded(frame.input(name), threads_);
         if (without_paths)
             report_.left_out.push_back(
-                {"paths", text("approximately: from ", manifest_.without_paths,
-                               " samples per pixel on the model's RelL2 without them is at most 1.02 times that "
-                               "with them, in the mean")});
+                {"paths",
+                 text("approximately: from ", manifest_.without_paths,
+                      " samples per pixel on the model's RelL2 without them is at most 1.02 times that "
+                      "with them, in the mean")});
         else if (leaves_out("paths") && frame.has("samples.descriptor") && manifest_.without_paths == 0)
             report_.notes.push_back("paths are not left out: the model's manifest does not say from how many "
                                     "samples per pixel on it does as well without");

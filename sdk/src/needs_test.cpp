@@ -48,7 +48,7 @@ TEST(Needs, LayersKeepABranchBusy) {
 
 TEST(Needs, PathsWhereTheManifestSaysSo) {
     const Pixels color = noise(4, 4, 3, 1);
-    const std::vector<float> values(size_t(4) * 4 * 4 * 36);
+    std::vector<float> values(size_t(4) * 4 * 4 * 36);
     const pathfold_image image = color.image(),
                          paths = pathfold_packed(values.data(), PATHFOLD_FLOAT32, 4, 4, 4, 36);
     Frame frame;
