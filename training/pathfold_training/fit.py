@@ -115,7 +115,7 @@ def fit(
     held_out = views.held_out()
     views(done)  # on the fly: the first are rendered before the clock of training runs
     crops = Crops(views, config.data, seed, paths, skip=done, **process)
-    record = partial(write_record, out, config, views.lines, seed, start_from)
+    record = partial(write_record, out, config, views.lines, seed, start_from, commit())  # of the code that runs
     record()
     # batches are made whole by the data sets; one process keeps the batch stream and the resume exact
     train = DataLoader(crops, batch_size=None, num_workers=0)
@@ -201,14 +201,14 @@ def completed_steps(checkpoint: Path, config: Config) -> int:
 
 
 @rank_zero_only
-def write_record(out: Path, config: Config, views: list[Line], seed: int, start_from: Path | None) -> None:
+def write_record(out: Path, config: Config, views: list[Line], seed: int, start_from: Path | None, code: str) -> None:
     """record.json beside the checkpoint: all that the model card says about how the weights came to be."""
     train = [v for v in views if v["split"] == "train"]
     record = {
         "config": config.model_dump(),
         "seed": seed,
         "started_from": start_record(start_from),
-        "commit": commit(),
+        "commit": code,
         "hardware": hardware(),
         "torch": torch.__version__,
         "data": {
