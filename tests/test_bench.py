@@ -18,6 +18,7 @@ pytest.importorskip("pyoidn")
 
 from pathfold import metrics
 from pathfold.cli import app, console
+from pathfold.cli.bench import without_place
 from pathfold.images import ImageError
 from pathfold.report import answers, bench, candidates, cold, curves, prediction, results, subjects, summary
 from pathfold.report.measure import Measurement, in_turns
@@ -338,6 +339,11 @@ def test_evaluate_goes_the_same_way(tmp_path: Path, tiny: Path) -> None:
     table = (tmp_path / "out" / "table.md").read_text()
     assert f"| **all** | | **{by['kpcn-manifold'] / by['kpcn-vanilla']:.3f}** |" in table
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"results.jsonl", "table.md", "tiny-1spp.jpg"}
+
+
+def test_results_do_not_tell_where_things_lie(tmp_path: Path) -> None:
+    assert without_place(str(tmp_path / "scenes")) == "scenes"
+    assert [without_place(given) for given in ("scenes/a.xml", "--spp", "2,4")] == ["scenes/a.xml", "--spp", "2,4"]
 
 
 def test_a_models_fingerprint_is_of_what_its_results_depend_on(tiny_models: Path) -> None:

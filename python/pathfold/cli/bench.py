@@ -14,6 +14,12 @@ if TYPE_CHECKING:
     from pathfold.report.bench import Problem, Progress
 
 
+def without_place(argument: str) -> str:
+    """An absolute path by its name alone: results are shown elsewhere, and where it lay is of this machine."""
+    path = Path(argument)
+    return path.name if path.is_absolute() else argument
+
+
 def bench(
     scenes: Annotated[
         list[Path],
@@ -64,7 +70,7 @@ def bench(
         raise typer.Exit(console.INTERRUPTED) from None
     if not measurements:
         raise InputError(f"nothing could be measured: {problems[0] if problems else 'there is no scene'}")
-    command = shlex.join(["pathfold", *sys.argv[1:]])
+    command = shlex.join(["pathfold", *map(without_place, sys.argv[1:])])
     outcome.write(out, measurements, problems, command, pictures)
     if not quiet:
         show(out, outcome.said(measurements))
