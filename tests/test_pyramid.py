@@ -8,15 +8,17 @@ from pathfold_training.data import Crops, Stored
 from pathfold_training.fit import fit
 from pathfold_training.networks.pathfold import (
     Pathfold,
+    Prediction,
     embedding_moments,
     embedding_sums,
     macs_per_pixel,
     overlap,
+    reconstruct,
 )
-from pathfold_training.networks.reconstruct import _WeighTaps, gather_pyramid
+from pathfold_training.networks.reconstruct import _WeighTaps, gather_finest, gather_pyramid
 from training_data import write_data_set
 
-SMALL = Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4)
+SMALL = Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4, clean=True)
 TINY = Config(
     name="tiny",
     description="a network for tests",
@@ -143,6 +145,30 @@ def test_pyramid_equals_its_formulas() -> None:
     np.testing.assert_allclose(out, expected, rtol=1e-12)
 
 
+def test_finest_level_alone() -> None:
+    """What gather_pyramid gives where no coarser level has a share; without a valid tap the value itself."""
+    trust, levels = random_logits(37, 50)
+    source, valid = noise(37, 50), torch.ones((1, 1, 37, 50), dtype=torch.bool)
+    levels[0][:, 29] = -50.0  # clamped: a share of 5e-5
+    local = gather_finest(trust, levels[0], source, valid)
+    torch.testing.assert_close(local, gather_pyramid(trust, levels, source), rtol=0.02, atol=1e-3)
+    constant = torch.full_like(source, 0.3)
+    torch.testing.assert_close(gather_finest(trust, levels[0], constant, valid), constant)
+    torch.testing.assert_close(gather_finest(trust, levels[0], source, ~valid), source, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_cleaning_replaces_the_albedo_by_its_neighbourhood(share: float) -> None:
+    trust, levels = random_logits(32, 32)
+    shuffle = torch.nn.functional.pixel_unshuffle
+    logits = [torch.cat([shuffle(levels[0], 2), levels[1]], 1), *levels[2:]]
+    predicted = Prediction(shuffle(trust, 2), logits, torch.full((1, 4, 16, 16), share, dtype=torch.float64))
+    factor = 0.1 + noise(32, 32) / 100
+    out = reconstruct(predicted, 5.0 * factor, factor)  # one irradiance everywhere
+    local = gather_finest(trust, levels[0], factor, torch.ones((1, 1, 32, 32), dtype=torch.bool))
+    torch.testing.assert_close(out, 5.0 * (local if share else factor))
+
+
 def test_gradient_by_hand() -> None:
     g = torch.Generator().manual_seed(0)
     weights = torch.rand((2, 4, 3, 5), generator=g, dtype=torch.float64, requires_grad=True)
@@ -165,7 +191,7 @@ def awake(network: Pyramid, seed: int = 0) -> Pathfold:
     """A network whose heads, which start at zero, are random too."""
     torch.manual_seed(seed)
     model = Pathfold(network)
-    for head in (model.trust, *model.heads, model.presence):
+    for head in (model.trust, *model.heads, model.presence, *([model.cleaning] if model.cleaning else [])):
         torch.nn.init.normal_(head.weight, std=0.1)  # type: ignore[arg-type]
     return model.eval()
 
@@ -173,8 +199,9 @@ def awake(network: Pyramid, seed: int = 0) -> Pathfold:
 def test_untrained_network_is_a_plain_blur() -> None:
     model = Pathfold(SMALL).eval()
     with torch.no_grad():
-        _, levels, _ = model(frame(32, 32, 2))
-    assert max(float(level.abs().max()) for level in levels) == 0.0
+        predicted, _ = model(frame(32, 32, 2))
+    assert max(float(level.abs().max()) for level in predicted.logits) == 0.0
+    assert predicted.cleaning.unique().tolist() == pytest.approx([0.0474], abs=1e-4)  # the albedo nearly as it is
 
 
 @pytest.mark.parametrize(("height", "width", "samples"), [(1, 1, 1), (17, 40, 3)])

@@ -22,7 +22,7 @@ from training_data import write_data_set
 CONFIG = Config(
     name="tiny-pathfold",
     description="a network for tests",
-    network=Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4),
+    network=Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4, clean=True),
     data=Data(crop=32, batch=1, spp_max=4, drop_paths=0.5),
     optimiser=Optimiser(steps=2, average=0.5),
 )
@@ -37,7 +37,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Denoising]
     state = torch.load(checkpoint, weights_only=True)
     g = torch.Generator().manual_seed(0)
     for name, value in state["state_dict"].items():
-        if "heads" in name or "trust.weight" in name:
+        if "heads" in name or "trust.weight" in name or "cleaning" in name:
             value += 0.3 * torch.randn(value.shape, generator=g)
     torch.save(state, checkpoint)
     record = json.loads((folder / "run" / "record.json").read_text())
@@ -81,7 +81,7 @@ def adversarial(buffers: Buffers, case: str) -> Buffers:
 
 
 def torch_frame(task: Denoising, buffers: Buffers, exposure: float) -> np.ndarray:
-    """The chain in torch: the training code's own denoise on the same buffers, absent ones as training has them."""
+    """The chain in float64 torch: training's own denoise on the same buffers, absent ones as training has them."""
     height, width = buffers["color"].shape[:2]
     channels = {"color": 3, "variance": 3, "albedo": 3, "normal": 3, "depth": 1}
     inputs = {
@@ -97,8 +97,9 @@ def torch_frame(task: Denoising, buffers: Buffers, exposure: float) -> np.ndarra
     inputs["exposure"] = torch.tensor([exposure])
     scale = torch.exp(-torch.log(inputs["depth"].double()).mean()).float() if "depth" in buffers else torch.ones(())
     inputs["depth_scale"] = scale.reshape(1)
+    exact, inputs = copy.deepcopy(task).double(), {name: value.double() for name, value in inputs.items()}
     with torch.no_grad():
-        return task.denoise(Batch(inputs, {}, [descriptor.shape[0]]))[0].permute(1, 2, 0).numpy()
+        return exact.denoise(Batch(inputs, {}, [descriptor.shape[0]]))[0].permute(1, 2, 0).numpy()
 
 
 CASES = ["plain", "firefly", "dark", "black albedo", "dead paths", "color alone", "no albedo", "no paths"]

@@ -102,6 +102,7 @@ private:
     template <typename Row>
     void copy_row(int branch, int x, int y, int width, const Row &row) const;
     void fill_pyramid(const Tile &tile, int branch, int planes);
+    void clean_factor(const Tile &tile, int branch, const PyramidLogits &logits, const Rect &core);
     void fill_neighbourhood(const Tile &tile, int branch, int planes);
     const float *output(const std::string &name) const {
         return denoiser_.logits_.data() + offsets_.at(name);
@@ -132,6 +133,8 @@ private:
     std::vector<Tile> tiles_;
     std::vector<Planes> results_; // of the tile at hand, per signal
     std::vector<float> gathered_;
+    Planes cleaned_; // of the tile at hand, what a branch's radiance is multiplied by; empty: what it was
+                     // divided by
     bool embedded_ = false;                             // the frame's samples, where the model does so
     std::map<std::string, size_t> offsets_;             // of the network's outputs in logits_
     std::vector<char> idle_;                            // per branch: in the whole frame
@@ -257,6 +260,7 @@ void Denoiser::Run::filter(const Tile &tile, int branch) {
         const Rect core{tile.core.x - tile.window.x, tile.core.y - tile.window.y, tile.core.width,
                         tile.core.height};
         denoiser_.pyramid_.apply(threads_, logits, core, gathered_.data());
+        clean_factor(tile, branch, logits, core);
     } else {
         fill_neighbourhood(tile, branch, planes);
         const size_t width = size_t(tile.window.width), plane = width * tile.window.height;
@@ -326,6 +330,51 @@ void Denoiser::Run::fill_pyramid(const Tile &tile, int branch, int planes) {
     });
 }
 
+/// The branch's factor for the tile, with a share of it, `cleaning`, replaced by what the finest kernels make
+/// of it.
+void Denoiser::Run::clean_factor(const Tile &tile, int branch, const PyramidLogits &logits,
+                                 const Rect &core) {
+    const ActiveBranch &active = prepared_.branches[size_t(branch)];
+    const Planes &factor = active.factor;
+    const int planes = factor.channels(), width = tile.core.width, height = tile.core.height;
+    cleaned_ = Planes();
+    if (!active.branch->clean || planes == 0)
+        return;
+    Pyramid &source = denoiser_.cleaner_;
+    const Rect &window = tile.window;
+    source.reset(planes, window.height, window.width, 1);
+    for_rows(threads_, window.height, [&](int row) {
+        const uint8_t *valid = prepared_.valid.data() + size_t(window.y + row) * frame_.width() + window.x;
+        std::copy_n(valid, window.width, source.valid_row(row));
+        for (int c = 0; c < planes; ++c)
+            std::transform(valid, valid + window.width, factor.row(c, window.y + row) + window.x,
+                           source.row(c, row),
+                           [](uint8_t is_valid, float value) { return is_valid != 0 ? value : 0; });
+    });
+    const size_t plane = size_t(width) * height;
+    std::vector<float> local(plane * (size_t(planes) + 1));
+    source.apply(threads_, logits, core, local.data());
+    cleaned_ = Planes(planes, height, width);
+    const size_t half_width = size_t(Pyramid::rounded_up(window.width)) / 2;
+    const size_t phase = half_width * size_t(Pyramid::rounded_up(window.height)) / 2;
+    for_rows(threads_, height, [&](int y) {
+        const int at_y = core.y + y;
+        const float *share =
+            output("cleaning") + size_t(at_y % 2) * 2 * phase + size_t(at_y / 2) * half_width;
+        const float *known = local.data() + size_t(planes) * plane + size_t(y) * width;
+        for (int c = 0; c < planes; ++c) {
+            const float *noisy = factor.row(c, tile.core.y + y) + tile.core.x,
+                        *clean = known - plane * size_t(planes - c);
+            float *to = cleaned_.row(c, y);
+            for (int x = 0; x < width; ++x) {
+                const int at_x = core.x + x;
+                to[x] = noisy[x] +
+                        share[size_t(at_x % 2) * phase + size_t(at_x / 2)] * known[x] * (clean[x] - noisy[x]);
+            }
+        }
+    });
+}
+
 void Denoiser::Run::fill_neighbourhood(const Tile &tile, int branch, int planes) {
     Neighbourhood &source = denoiser_.neighbourhood_;
     const int radius = manifest_.kernel_size / 2;
@@ -361,15 +410,17 @@ void Denoiser::Run::set_results(const Tile &tile, int branch, const Fill &fill) 
 }
 
 void Denoiser::Run::take_results(const Tile &tile, int branch) {
-    const Planes &factor = prepared_.branches[size_t(branch)].factor;
+    const bool clean = cleaned_.channels() > 0;
+    const Planes &factor = clean ? cleaned_ : prepared_.branches[size_t(branch)].factor;
     const float *from = gathered_.data();
     set_results(tile, branch, [&](const Signal &signal, int c, int y, float *to) {
         std::copy_n(from, tile.core.width, to);
         from += tile.core.width;
-        if (signal.demodulated)
-            std::transform(to, to + tile.core.width,
-                           factor.row(std::min(c, factor.channels() - 1), tile.core.y + y) + tile.core.x, to,
-                           std::multiplies<float>());
+        if (!signal.demodulated)
+            return;
+        const int plane = std::min(c, factor.channels() - 1);
+        const float *row = clean ? factor.row(plane, y) : factor.row(plane, tile.core.y + y) + tile.core.x;
+        std::transform(to, to + tile.core.width, row, to, std::multiplies<float>());
     });
 }
 

@@ -45,7 +45,7 @@ private:
     Embedding embedding_;         // likewise
     std::vector<float> logits_;   // likewise
     Neighbourhood neighbourhood_; // likewise
-    Pyramid pyramid_;             // likewise
+    Pyramid pyramid_, cleaner_;   // likewise
 };
 
 } // namespace pathfold::core

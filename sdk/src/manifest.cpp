@@ -268,9 +268,10 @@ Branch read_branch(const Field &field) {
     branch.radiance = field.at("radiance").one_of({"color", "diffuse", "specular"});
     branch.unsplit = field.has("unsplit") && field.at("unsplit").boolean();
     if (field.has("demodulate")) {
-        const Field demodulate = field.at("demodulate").keys({"by", "epsilon"});
+        const Field demodulate = field.at("demodulate").keys({"by", "epsilon", "clean"});
         branch.demodulate_by = demodulate.at("by").one_of({"albedo", "diffuse.albedo"});
         branch.epsilon = float(demodulate.at("epsilon").number(1e-6, 1));
+        branch.clean = demodulate.has("clean") && demodulate.at("clean").boolean();
     }
     return branch;
 }
@@ -298,8 +299,11 @@ void read_reconstruction(const Field &field, Manifest &manifest) {
         branches.wrong(
             "such that the branch with \"unsplit\" has no \"demodulate\", or is color's, by albedo");
     std::set<std::string> radiance;
-    for (const Branch &branch : manifest.branches)
+    for (const Branch &branch : manifest.branches) {
         radiance.insert(branch.radiance);
+        if (branch.clean && !manifest.pyramid)
+            branches.wrong("without \"clean\": only a pyramid's finest kernels can clean a guide");
+    }
     const bool known = radiance == std::set<std::string>{"color"} ||
                        radiance == std::set<std::string>{"diffuse", "specular"};
     if (!known || radiance.size() != manifest.branches.size())
@@ -371,12 +375,15 @@ std::map<std::string, Shape> Manifest::outputs() const {
     if (!pyramid)
         return {{"logits", logits(logit_channels(), "")}};
     constexpr int64_t level = PyramidLogits::channels;
-    return {
+    std::map<std::string, Shape> shapes{
         {"trust", logits(4, "/2")},
         {"logits.2", logits(4 * level + level, "/2")}, // four pixels of the finest level, then the next one
         {"logits.4", logits(level, "/4")},
         {"logits.8", logits(level, "/8")},
         {"logits.16", logits(PyramidLogits::coarsest_channels, "/16")}};
+    if (unsplit_branch().clean)
+        shapes["cleaning"] = logits(4, "/2");
+    return shapes;
 }
 
 bool Manifest::reads(const std::string &buffer) const {

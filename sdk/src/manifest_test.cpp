@@ -79,6 +79,7 @@ TEST(Manifest, ComplaintsNameTheKey) {
     expect_wrong(with("/reconstruction/branches/1/unsplit", false), "exactly one");
     expect_wrong(with("/reconstruction/branches/0/radiance", "specular"), "diffuse and specular");
     expect_wrong(with("/reconstruction/branches/0/demodulate/epsilon", 0), "epsilon is 0");
+    expect_wrong(with("/reconstruction/branches/0/demodulate/clean", true), "without \"clean\"");
     expect_wrong(with("/graphs/diffuse/file", "../other.onnx"), "graphs.diffuse.file", "without a path");
     expect_wrong(with("/graphs/diffuse/sha256", "abc"), "64");
     expect_wrong(with("/graphs/diffuse/inputs/radiance", {1, 4, "H", "W"}), "inputs.radiance",

@@ -235,11 +235,14 @@ HWY_EXPORT(WeighRow);
 HWY_EXPORT(HalveRow);
 HWY_EXPORT(FilterRow);
 
-void Pyramid::reset(int planes, int height, int width) {
-    planes_ = planes;
-    for (int l = 0; l < levels; ++l) {
+void Pyramid::reset(int planes, int height, int width, int count) {
+    planes_ = planes, count_ = count;
+    for (int l = 0; l < levels;
+         ++l) { // the finest level's logits lie in the cells of the next one, filtered or not
         level_[l].height = rounded_up(height) >> l;
         level_[l].width = rounded_up(width) >> l;
+        if (l >= count)
+            continue;
         // vectors are read a little past the last row
         const size_t size = size_t(planes + 1) * level_[l].plane_stride() + 2 * pyramid_block;
         level_[l].source.assign(size, 0.0f);
@@ -254,7 +257,7 @@ void Pyramid::weigh(Threads &threads, const float *trust) {
         const float *row = trust + size_t(y % 2) * 2 * plane + size_t(y / 2) * width;
         HWY_DYNAMIC_DISPATCH(WeighRow)(level_[0], planes_, row, plane, y);
     });
-    for (int l = 1; l < levels; ++l)
+    for (int l = 1; l < count_; ++l)
         for_rows(threads, level_[l].height,
                  [&](int y) { HWY_DYNAMIC_DISPATCH(HalveRow)(level_[l - 1], level_[l], planes_, y); });
 }
@@ -269,13 +272,14 @@ void Pyramid::filter(Threads &threads, const PyramidLogits &logits, int l, const
             for (int y = rows.begin(); y != rows.end(); ++y) {
                 PyramidRow row;
                 row.level = &level_[l];
-                row.coarser = l + 1 < levels ? &level_[l + 1] : nullptr;
+                row.coarser = l + 1 < count_ ? &level_[l + 1] : nullptr;
                 row.planes = planes_, row.y = y, row.begin = area.x, row.end = area.x + area.width;
                 if (l == 0) {
                     row.logits = logits.levels[0] + size_t(y % 2) * 2 * plane + size_t(y / 2) * cells.width;
                     row.logit_stride = 4 * plane, row.phase_stride = plane;
                     row.result = result + size_t(y - area.y) * area.width - area.x;
                     row.result_stride = size_t(area.width) * area.height;
+                    row.known = count_ == 1 ? row.result + size_t(planes_) * row.result_stride : nullptr;
                 } else {
                     row.logits = logits.levels[l] + size_t(y) * cells.width;
                     row.logit_stride = plane;
@@ -291,7 +295,7 @@ void Pyramid::filter(Threads &threads, const PyramidLogits &logits, int l, const
 
 void Pyramid::apply(Threads &threads, const PyramidLogits &logits, const Rect &core, float *result) {
     weigh(threads, logits.trust);
-    for (int l = levels - 1; l > 0; --l)
+    for (int l = count_ - 1; l > 0; --l)
         filter(threads, logits, l, {0, 0, level_[l].width, level_[l].height}, nullptr);
     filter(threads, logits, 0, core, result);
 }

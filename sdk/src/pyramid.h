@@ -41,8 +41,10 @@ public:
 
     static constexpr int rounded_up(int size) { return (size + alignment - 1) / alignment * alignment; }
 
-    /// Starts a window with everything 0 and not valid; keeps its memory.
-    void reset(int planes, int height, int width);
+    /// Starts a window with everything 0 and not valid; keeps its memory. `count` 1 makes it F_0 alone, the
+    /// finest kernels: `apply` then gives one plane more, 1 where any tap was valid, else 0. As gather_finest
+    /// there.
+    void reset(int planes, int height, int width, int count = levels);
 
     int planes() const { return planes_; }
     float *row(int plane, int y) { return level_[0].source_row(plane, y); }
@@ -73,7 +75,7 @@ private:
     void weigh(Threads &threads, const float *trust);
     void filter(Threads &threads, const PyramidLogits &logits, int level, const Rect &area, float *result);
 
-    int planes_ = 0;
+    int planes_ = 0, count_ = levels;
     std::array<Level, levels> level_;
 };
 

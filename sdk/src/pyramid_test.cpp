@@ -111,12 +111,13 @@ std::vector<double> naive(const Prediction &prediction, const Pixels &image, int
     return result.values;
 }
 
-Pixels filtered(const Prediction &prediction, const Pixels &image, Rect core = {}) {
+/// With one level the result has a channel more: whether it is known.
+Pixels filtered(const Prediction &prediction, const Pixels &image, Rect core = {}, int levels = 5) {
     if (core.width == 0)
         core = {0, 0, image.width, image.height};
     Pyramid pyramid;
     Threads threads;
-    pyramid.reset(image.channels, image.height, image.width);
+    pyramid.reset(image.channels, image.height, image.width, levels);
     for (int y = 0; y < image.height; ++y)
         for (int x = 0; x < image.width; ++x) {
             bool valid = true;
@@ -126,10 +127,11 @@ Pixels filtered(const Prediction &prediction, const Pixels &image, Rect core = {
                 pyramid.row(c, y)[x] = image.at(y, x, c);
             pyramid.valid_row(y)[x] = valid;
         }
-    std::vector<float> planar(size_t(core.height) * core.width * image.channels);
+    const int channels = image.channels + (levels == 1 ? 1 : 0);
+    std::vector<float> planar(size_t(core.height) * core.width * channels);
     pyramid.apply(threads, prediction.logits(), core, planar.data());
-    Pixels result(core.height, core.width, image.channels);
-    for (int c = 0; c < image.channels; ++c)
+    Pixels result(core.height, core.width, channels);
+    for (int c = 0; c < channels; ++c)
         for (int y = 0; y < core.height; ++y)
             for (int x = 0; x < core.width; ++x)
                 result.at(y, x, c) = planar[(size_t(c) * core.height + y) * core.width + x];
@@ -175,6 +177,32 @@ TEST(Pyramid, ConstantsAreKeptAcrossAllMagnitudes) {
          {0.0f, 1e-30f, 3.7f, 1e34f}) // 1e32 is the largest radiance, divided by an albedo of 0.01
         for (float kept : filtered(Prediction(33, 49, 1e3f, 8), Pixels(33, 49, 3, value)).values)
             EXPECT_NEAR(kept, value, 3e-6 * value);
+}
+
+TEST(Pyramid, FinestLevelAlone) {
+    Pixels image = noise(40, 70, 3, 13);
+    for (int y = 8; y < 16; ++y)
+        for (int x = 20; x < 31; ++x)
+            image.at(y, x, 0) = std::numeric_limits<float>::quiet_NaN();
+    const Prediction prediction(40, 70, 3, 14);
+    const Rect core{16, 0, 50, 40};
+    const Pixels result = filtered(prediction, image, core, 1);
+    for (int y = 0; y < core.height; ++y)
+        for (int x = 0; x < core.width; ++x) {
+            double top = 0, bottom = 0;
+            for (int tap = 0; tap < 25; ++tap) {
+                const int v = y + tap / 5 - 2, u = core.x + x + tap % 5 - 2;
+                if (v < 0 || u < 0 || v >= image.height || u >= image.width ||
+                    !std::isfinite(image.at(v, u, 0)))
+                    continue;
+                const double k =
+                    std::exp(prediction.logit(0, tap, y, core.x + x)) * prediction.trust_at(v, u);
+                top += k * image.at(v, u, 1), bottom += k;
+            }
+            EXPECT_EQ(result.at(y, x, 3), bottom > 0 ? 1.0f : 0.0f);
+            const double value = bottom > 0 ? top / bottom : 0;
+            ASSERT_NEAR(result.at(y, x, 1), value, 1e-5 * value);
+        }
 }
 
 TEST(Pyramid, StaysBetweenLeastAndLargest) {

@@ -35,6 +35,9 @@ class Pyramid(Strict):
     convolutions: tuple[int, int, int, int] = Field((3, 2, 2, 2), description="per level, the same on the way back up")
     embedding: int = Field(8, ge=1, description="C: channels of the path embedding")
     demodulate: bool = Field(True, description="radiance is divided by the noisy albedo while it is filtered")
+    clean: bool = Field(
+        False, description="and multiplied by an albedo that the finest kernels clean, where it is noisy"
+    )
 
 
 def family(network: object) -> str:

@@ -224,6 +224,8 @@ def write_pyramid(model: Pathfold, out: Path) -> dict:
     branch: dict[str, Any] = {"name": "color", "graph": "network", "radiance": "color", "unsplit": True}
     if model.network.demodulate:
         branch["demodulate"] = {"by": "albedo", "epsilon": pathfold.ALBEDO_EPSILON}
+    if model.cleaning is not None:
+        branch["demodulate"]["clean"] = True
     return {
         "requires": ["color"],
         "uses": [n for n in pathfold.OPTIONAL if n != "paths"] + ["samples.descriptor", "samples.valid"],

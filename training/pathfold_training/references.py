@@ -15,7 +15,7 @@ from pathfold.check.prepare import Prepared, prepare, reads
 from pathfold.check.references import References, frame_hash
 from torch import Tensor
 
-from .networks.pathfold import Pathfold
+from .networks.pathfold import Pathfold, reconstruct
 from .networks.reconstruct import gather
 from .task import Denoising
 
@@ -39,20 +39,21 @@ def denoise(task: Denoising, frame: Prepared, manifest: dict[str, Any]) -> tuple
     total, largest = np.zeros_like(frame.branches[0].radiance), 0.0
     masked = torch.from_numpy(~frame.valid)
     for part in frame.branches:
-        radiance = tensor("radiance", part.demodulated).masked_fill(masked, float("nan"))
+        radiance, factor = (tensor("radiance", values) for values in (part.radiance, part.factor))
+        radiance = radiance.masked_fill(masked, float("nan"))
         with torch.no_grad():
             if isinstance(task.model, Pathfold):
-                trust, logits, _ = task.model({name: tensor(name, block) for name, block in part.inputs.items()})
-                filtered = task.model.reconstruct(trust, logits, radiance)
-                largest = max(float(level.abs().max()) for level in (trust, *logits))
+                predicted, _ = task.model({name: tensor(name, block) for name, block in part.inputs.items()})
+                filtered = reconstruct(predicted, radiance, factor)
+                largest = max(float(level.abs().max()) for level in (predicted.trust, *predicted.logits))
             else:
                 branch = task.model.branch(part.graph)
                 predicted = branch({name: tensor(name, part.inputs[name]) for name in branch.input_names()})
                 size = manifest["reconstruction"]["size"]
-                filtered = gather(predicted.logits, radiance, size, trust=predicted.trust)
+                filtered = gather(predicted.logits, radiance / factor, size, trust=predicted.trust) * factor
                 shift = 0.0 if predicted.trust is None else float(predicted.trust.abs().max())
                 largest = max(largest, float(predicted.logits.abs().max()) + shift)
-        total += filtered[0].permute(1, 2, 0).numpy() * part.factor
+        total += filtered[0].permute(1, 2, 0).numpy()
     if not np.isfinite(total).all():
         raise ValueError("the network's result is not finite in float64, so it has no reference; train it anew")
     return total, largest

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from pathfold.check.measure import SMALLEST, relative_error, tolerance
-from pathfold.check.prepare import Prepared, window_limits
+from pathfold.check.prepare import Array, Branch, Prepared, window_limits
 from pathfold.denoising import Result
+
+CLEANING_RADIUS = 2  # pixels: of a pyramid's finest kernels
 
 
 @dataclass
@@ -56,16 +58,28 @@ class Row:
 
 
 def bounded(result: Result, frame: Prepared, manifest: dict[str, Any]) -> bool:
-    """Whether each branch's result, before remodulation, lies within the least and largest value of its window."""
+    """Whether each branch's result, before remodulation, lies within the least and largest value of its window.
+
+    Where the factor is cleaned, it lies within its own 5 x 5 window in turn.
+    """
     split, slack = len(frame.branches) > 1, tolerance("bounded")
     for branch in frame.branches:
         image = getattr(result, branch.buffer) if split else result.color
         low, high = window_limits(branch.demodulated, frame.valid, window_radius(manifest))
         with np.errstate(invalid="ignore"):
-            value = image / branch.factor
-            if not ((value >= low * (1 - slack) - SMALLEST) & (value <= high * (1 + slack) + SMALLEST)).all():
+            least, most = factor_limits(branch, frame)
+            above = image / least >= low * (1 - slack) - SMALLEST
+            if not (above & (image / most <= high * (1 + slack) + SMALLEST)).all():
                 return False
     return True
+
+
+def factor_limits(branch: Branch, frame: Prepared) -> tuple[Array, Array]:
+    """Least and largest of what a branch's result may have been multiplied by, H x W x 3."""
+    if not branch.clean:
+        return branch.factor, branch.factor
+    low, high = window_limits(branch.factor, frame.valid, CLEANING_RADIUS)
+    return np.where(low > 0, np.minimum(low, branch.factor), branch.factor), np.maximum(high, branch.factor)
 
 
 def window_radius(manifest: dict[str, Any]) -> int:

@@ -32,6 +32,7 @@ class Branch:
     radiance: Array  # H x W x 3, 0 where masked, capped
     factor: Array  # H x W x 3, what radiance is divided by while it is filtered
     inputs: dict[str, Array]  # the graph's: H x W x C, S x H x W x C, scalars [1]
+    clean: bool = False  # whether radiance is multiplied by a cleaned factor
 
     @property
     def demodulated(self) -> Array:
@@ -79,7 +80,8 @@ def prepare(buffers: Buffers, manifest: dict[str, Any]) -> Prepared:
             "variance": guide(np.zeros_like(values) if variance is None else variance, "variance"),
         }
         own["variance.present"] = np.array([float(variance is not None and spp != 1)])
-        made.append(Branch(branch["graph"], name, values, factor, shared | own))
+        clean = by in double and branch["demodulate"].get("clean", False)
+        made.append(Branch(branch["graph"], name, values, factor, shared | own, clean))
     return Prepared(made, valid, exposure, depth_scale)
 
 

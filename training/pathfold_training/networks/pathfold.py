@@ -7,6 +7,7 @@ Feature maps of level l have 1 / 2^l of the frame's resolution; level 0 is predi
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as functional
@@ -16,7 +17,7 @@ from ..config import Pyramid
 from ..features import DESCRIPTOR_CHANNELS
 from .embedding import sample_sum
 from .kpcn import path_features
-from .reconstruct import COARSEST_LOGITS, LEVEL_LOGITS, gather_pyramid
+from .reconstruct import COARSEST_LOGITS, LEVEL_LOGITS, gather_finest, gather_pyramid
 
 LEVELS = 5
 ALIGNMENT = 1 << (LEVELS - 1)
@@ -26,6 +27,17 @@ ALBEDO_EPSILON = 0.01  # of the demodulator albedo + epsilon: bounds what a blac
 SAMPLE_WIDTH = 32
 HEADS = [4 * LEVEL_LOGITS + LEVEL_LOGITS, LEVEL_LOGITS, LEVEL_LOGITS, COARSEST_LOGITS]  # channels from 1/2 to 1/16
 TRUST_START = -2.0  # sigmoid(-2) * -9 = -1.1: room on both sides of the initial trust
+CLEANING_START = -3.0  # sigmoid(-3) = 0.05: the albedo nearly as it is
+
+
+class Prediction(NamedTuple):
+    """What the network says of B frames whose H and W are rounded up to multiples of 16."""
+
+    trust: Tensor  # B x 4 x H/2 x W/2 in [-9, 0], four pixels in the channels as pixel_shuffle orders them
+    logits: list[
+        Tensor
+    ]  # from 1/2 to 1/16; at 1/2 level 0's, four pixels as above, then level 1's: B x 150 x H/2 x W/2
+    cleaning: Tensor | None  # B x 4 x H/2 x W/2 in [0, 1]; None where the albedo is not cleaned
 
 
 def block(inputs: int, width: int, count: int) -> nn.Sequential:
@@ -57,6 +69,7 @@ class Pathfold(nn.Module):
         self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(widths))
         self.up = nn.ModuleList(block(a, a, n) for a, n in zip(widths[:-1], counts[:-1], strict=True))
         self.trust = nn.Conv2d(widths[0], 4, 1)
+        self.cleaning = nn.Conv2d(widths[0], 4, 1) if network.demodulate and network.clean else None
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, HEADS, strict=True))
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
@@ -66,19 +79,15 @@ class Pathfold(nn.Module):
             head.weight.data.zero_()
             head.bias.data.zero_()
         self.trust.bias.data.fill_(TRUST_START)  # type: ignore[union-attr]
+        if self.cleaning is not None:
+            self.cleaning.weight.data.zero_()
+            self.cleaning.bias.data.fill_(CLEANING_START)  # type: ignore[union-attr]
 
-    def forward(
-        self, inputs: dict[str, Tensor], counts: list[int] | None = None
-    ) -> tuple[Tensor, list[Tensor], Tensor]:
-        """Trust B x 4 x H/2 x W/2 in [-9, 0]; logits from 1/2 to 1/16 resolution; the embeddings N x C x H x W.
-
-        H and W are rounded up to multiples of 16. At 1/2 there are level 0's logits, four pixels in the channels as
-        pixel_shuffle orders them, and then level 1's: B x 150 x H/2 x W/2.
-        """
+    def forward(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Prediction, Tensor]:
+        """What is predicted, and the embeddings N x C x H x W of the samples."""
         paths = self.embed(inputs, counts)
         sums = embedding_sums(paths, inputs["samples.valid"], counts)
-        trust, logits = self.predict(self.entrance(inputs, sums))
-        return trust, logits, paths
+        return self.predict(self.entrance(inputs, sums)), paths
 
     def embed(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Tensor:
         """Each sample's descriptor by itself -> N x C x H x W."""
@@ -93,8 +102,8 @@ class Pathfold(nn.Module):
         x = torch.cat([pixels, embedding_moments(sums)], 1).contiguous(memory_format=torch.channels_last)
         return self.first(x) + self.presence(presence(inputs))[:, :, None, None]
 
-    def predict(self, entrance: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Trust and logits, as `forward` says."""
+    def predict(self, entrance: Tensor) -> Prediction:
+        """The U-Net and its heads."""
         x = torch.relu(entrance)
         skips = []
         for level, down in enumerate(self.down):
@@ -105,30 +114,43 @@ class Pathfold(nn.Module):
         for level in reversed(range(len(self.up))):
             x = self.up[level](skips[level] + upsample(self.project[level](x)))
             logits.insert(0, self.heads[level](x))
-        return trust, logits
+        cleaning = None if self.cleaning is None else torch.sigmoid(exact(self.cleaning(x)))
+        return Prediction(trust, logits, cleaning)
 
-    @staticmethod
-    def output_shapes() -> dict[str, list[int | str]]:
-        """Graph outputs in the order of `forward`; "H/4" is a quarter of H rounded up to a multiple of 16."""
+    def output_shapes(self) -> dict[str, list[int | str]]:
+        """Graph outputs in the order of Prediction; "H/4" is a quarter of H rounded up to a multiple of 16."""
         shapes: dict[str, list[int | str]] = {"trust": [1, 4, "H/2", "W/2"]}
         for level, channels in enumerate(HEADS, 1):
             shapes[f"logits.{1 << level}"] = [1, channels, f"H/{1 << level}", f"W/{1 << level}"]
-        return shapes
+        return shapes if self.cleaning is None else shapes | {"cleaning": shapes["trust"]}
 
     def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Tensor, list[Tensor], Tensor]:
         """The denoised radiance B x 3 x H x W, linear and unexposed; the logits; the embeddings."""
-        trust, predicted, paths = self(inputs, counts)
-        with torch.autocast(trust.device.type, enabled=False):
-            factor = demodulator(inputs) if self.network.demodulate else torch.ones_like(trust[:, :1, :1, :1])
-            logits = [exact(part) for part in predicted]
-            return self.reconstruct(trust, logits, inputs["radiance"] / factor) * factor, logits, paths
+        predicted, paths = self(inputs, counts)
+        with torch.autocast(paths.device.type, enabled=False):
+            predicted = predicted._replace(logits=[exact(part) for part in predicted.logits])
+            factor = demodulator(inputs) if self.network.demodulate else None
+            return reconstruct(predicted, inputs["radiance"], factor), predicted.logits, paths
 
-    @staticmethod
-    def reconstruct(trust: Tensor, logits: list[Tensor], radiance: Tensor) -> Tensor:
-        """What `forward` predicted, applied to radiance as it is filtered."""
-        fine, half = torch.split(logits[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
-        levels = [functional.pixel_shuffle(fine, 2), half, *logits[1:]]
-        return gather_pyramid(functional.pixel_shuffle(trust, 2), levels, radiance)
+
+def reconstruct(predicted: Prediction, radiance: Tensor, factor: Tensor | None) -> Tensor:
+    """What was predicted, applied to radiance B x 3 x H x W, which is divided by `factor` while it is filtered.
+
+    With `cleaning` it is multiplied by a cleaned one: that share of it is what the finest level's kernels alone make of
+    `factor`. Where irradiance is smooth the coarser levels leave these kernels to it.
+    """
+    fine, half = torch.split(predicted.logits[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
+    trust, finest = functional.pixel_shuffle(predicted.trust, 2), functional.pixel_shuffle(fine, 2)
+    levels = [finest, half, *predicted.logits[1:]]
+    if factor is None:
+        return gather_pyramid(trust, levels, radiance)
+    filtered = gather_pyramid(trust, levels, radiance / factor)
+    if predicted.cleaning is None:
+        return filtered * factor
+    height, width = radiance.shape[-2:]
+    share = functional.pixel_shuffle(predicted.cleaning, 2)[:, :, :height, :width]
+    local = gather_finest(trust, finest, factor, torch.isfinite(radiance).all(1, keepdim=True))
+    return filtered * (factor + share * (local - factor))
 
 
 def demodulator(inputs: dict[str, Tensor]) -> Tensor:

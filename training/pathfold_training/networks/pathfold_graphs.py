@@ -41,7 +41,7 @@ class EmbeddingGraph(nn.Module):
 
 
 class NetworkGraph(nn.Module):
-    """Buffers and the embedding of their samples -> trust and logits, as Pathfold.forward gives them for B = 1."""
+    """Buffers and the embedding of their samples -> the parts of a Prediction, for B = 1."""
 
     input_names = ("radiance", "variance", "albedo", "normal", "depth", "embedding", "exposure", "depth_scale",
                    *(f"{name}.present" for name in OPTIONAL))  # fmt: skip
@@ -66,8 +66,8 @@ class NetworkGraph(nn.Module):
         present = pathfold.presence(inputs)[:, :, None, None].expand(-1, -1, *moments.shape[-2:])
         entrance = functional.conv2d(features, self.pixels, self.bias, stride=2, padding=2)
         entrance = entrance + functional.conv2d(torch.cat([moments, present], 1), self.moments, padding=1)
-        trust, logits = self.model.predict(entrance)
-        return trust, *logits
+        trust, logits, cleaning = self.model.predict(entrance)
+        return trust, *logits, *([] if cleaning is None else [cleaning])
 
     def output_shapes(self) -> dict[str, list[int | str]]:
         return self.model.output_shapes()

@@ -73,10 +73,7 @@ def gather_pyramid(trust: Tensor, levels: list[Tensor], radiance: Tensor) -> Ten
     A side without a valid tap leaves the result to the other one; without any, the result is 0.
     """
     height, width = radiance.shape[-2:]
-    valid = torch.isfinite(radiance).all(1, keepdim=True)
-    source = torch.cat([torch.where(valid, radiance, 0.0), valid.to(radiance.dtype)], 1)
-    source = functional.pad(source, (0, trust.shape[-1] - width, 0, trust.shape[-2] - height))
-    sources = [source * torch.exp(torch.clamp(trust, LEAST_TRUST, 0.0))]
+    sources = [trusted(trust, radiance, torch.isfinite(radiance).all(1, keepdim=True))]
     for _ in levels[1:]:
         sources.append(functional.avg_pool2d(sources[-1], 2))
     result, known = normalised(weigh_taps(bounded_exp(levels[-1]), sources[-1], KERNEL_TAPS, 2))
@@ -89,6 +86,24 @@ def gather_pyramid(trust: Tensor, levels: list[Tensor], radiance: Tensor) -> Ten
         odds = torch.exp(torch.clamp(blend, -LOGIT_LIMIT, LOGIT_LIMIT)) * coarse_known
         result, known = normalised(torch.cat([own_known * own + odds * coarse, own_known + odds], 1))
     return result[:, :, :height, :width]
+
+
+def gather_finest(trust: Tensor, finest: Tensor, values: Tensor, valid: Tensor) -> Tensor:
+    """F_0 of gather_pyramid, for other values than radiance: B x C x H x W; where no tap is valid, the value itself.
+
+    trust and `finest` as there, values finite, `valid` B x 1 x H x W of the radiance.
+    """
+    height, width = values.shape[-2:]
+    source = trusted(trust, values, valid)
+    local, known = normalised(weigh_taps(bounded_exp(finest[:, : len(KERNEL_TAPS)]), source, KERNEL_TAPS, 2))
+    return torch.where(known[:, :, :height, :width] > 0.0, local[:, :, :height, :width], values)
+
+
+def trusted(trust: Tensor, values: Tensor, valid: Tensor) -> Tensor:
+    """N_0 and, as the last channel, W_0 of gather_pyramid."""
+    source = torch.cat([torch.where(valid, values, 0.0), valid.to(values.dtype)], 1)
+    source = functional.pad(source, (0, trust.shape[-1] - values.shape[-1], 0, trust.shape[-2] - values.shape[-2]))
+    return source * torch.exp(torch.clamp(trust, LEAST_TRUST, 0.0))
 
 
 def bounded_exp(logits: Tensor) -> Tensor:
