@@ -25,6 +25,7 @@ from pathfold_training.scenes import (  # noqa: E402
     solids,
     textures,
     tones,
+    variation,
 )
 from pathfold_training.scenes.cameras import Camera  # noqa: E402
 from pathfold_training.scenes.faults import RejectedError, Survey  # noqa: E402
@@ -274,6 +275,39 @@ def test_a_broken_scene_is_named(tmp_path: Path) -> None:
     (tmp_path / "broken.xml").write_text("<scene version='3.0.0'><shape type='nosuchshape'/></scene>")
     with pytest.raises(RejectedError, match=r"broken\.xml does not load"):
         library.load(library.scan(tmp_path)[0])
+
+
+def test_library_scenes_vary_in_light_colour_and_roughness() -> None:
+    def values(seed: int | None) -> dict[str, np.ndarray]:
+        scene = library.load(library.scan(LIBRARY)[0])
+        if seed is not None:
+            variation.vary(scene, np.random.default_rng(seed))
+        kept = mi.traverse(scene)
+        names = ("paint.brdf_0.reflectance.value", "gloss.brdf_0.alpha", "gloss.brdf_0.diffuse_reflectance.value")
+        light = next(k for k in kept.keys() if k.endswith("radiance.value"))  # noqa: SIM118
+        return {name: np.array(kept[name]).ravel() for name in names} | {"light": np.array(kept[light]).ravel()}
+
+    before, varied, again, other = values(None), values(1), values(1), values(2)
+    for name, value in before.items():
+        assert not np.allclose(varied[name], value), name
+        assert not np.allclose(varied[name], other[name]), name
+        np.testing.assert_array_equal(varied[name], again[name])
+    for name in ("paint.brdf_0.reflectance.value", "gloss.brdf_0.diffuse_reflectance.value"):
+        assert 0 <= varied[name].min() <= varied[name].max() <= 1
+    assert 0.1 / 2 <= varied["gloss.brdf_0.alpha"][0] <= 0.1 * 2
+    assert (np.abs(np.log2(varied["light"] / before["light"])) < 2 + 1).all()
+
+
+def test_varied_bitmaps_stay_bitmaps() -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (4, 5, 3)).astype(np.uint8)
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "format": "uint8"}
+    scene = mi.load_dict({"type": "scene", "s": {"type": "sphere", "b": {"type": "diffuse", "reflectance": texture}}})
+    variation.vary(scene, np.random.default_rng(0))
+    kept = mi.traverse(scene)
+    data = np.array(next(kept[k] for k in kept.keys() if k.endswith(".data")))  # noqa: SIM118
+    assert data.shape == pixels.shape
+    assert data.max() > 100  # not mistaken for values in [0, 1]
+    assert not np.array_equal(data, pixels)
 
 
 def test_library_cameras_stay_in_free_space_and_differ() -> None:

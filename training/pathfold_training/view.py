@@ -151,13 +151,16 @@ def _draft(depth: int) -> Any:
 
 def _new_scene(task: Task) -> tuple[Any, Line]:
     """The scene with a camera found and aimed, and the line that describes both."""
-    from .scenes import cameras, library, procedural
+    from .scenes import cameras, library, procedural, variation
 
     size = task.size, task.size
     line: Line = {name: getattr(task, name) for name in DESCRIPTION}
     line |= {"width": task.size, "height": task.size, "path": task.path}
     if task.kind == "library":
         scene = _load_file(task)
+        if task.number > 0 and "ND" not in task.licence:  # no derivatives
+            line |= {"variation": int(entropy(task.seed, task.scene, "variation", task.number)[0])}
+            variation.vary(scene, np.random.default_rng(line["variation"]))
         rng = np.random.default_rng(entropy(task.seed, task.scene, "cameras"))
         camera = library.choose(scene, task.number, _draft(LIBRARY_DEPTH), rng, size)
         return scene, line | {"content": "library", "max_depth": LIBRARY_DEPTH, "camera": _plain(camera)}
@@ -179,7 +182,7 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
 
 def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
     """The scene of an index line with its camera aimed again."""
-    from .scenes import cameras, procedural
+    from .scenes import cameras, procedural, variation
 
     size = line["width"], line["height"]
     if line["kind"] == "procedural" and line.get("generator", 1) != procedural.GENERATOR:
@@ -188,6 +191,8 @@ def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
             "render the data set anew, or its samples with the version that made it"
         )
     scene = _load_file(task) if line["kind"] == "library" else _build(line["scene_seed"])[1]
+    if "variation" in line:
+        variation.vary(scene, np.random.default_rng(line["variation"]))
     if line["camera"]:
         pose = line["camera"]
         origin, target, up = (np.array(pose[name]) for name in ("origin", "target", "up"))
