@@ -160,14 +160,18 @@ def export(
 def evaluate(
     scenes: Annotated[Path, typer.Argument(help="folder of scene folders, each with scene.xml and reference.exr")],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for tables and pictures")],
-    model: Annotated[list[str] | None, typer.Option(help="model name or folder; repeat for more")] = None,
+    model: Annotated[
+        list[str] | None, typer.Option(help="model name or folder; repeat for more  [default: every shipped one]")
+    ] = None,
     spp: int = 8,
     seeds: int = 3,
 ) -> None:
     """Compare models with the noisy input and OIDN on scenes with references."""
+    from pathfold import models
+
     from .evaluate import evaluate as run
 
-    run(scenes, out, model or ["kpcn-vanilla", "kpcn-path", "kpcn-manifold"], spp=spp, seeds=seeds)
+    run(scenes, out, model or list(models.available(models.shipped_directories())), spp=spp, seeds=seeds)
 
 
 def main() -> None:
