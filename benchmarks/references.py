@@ -13,15 +13,14 @@ import json
 import math
 import resource
 from pathlib import Path
-from statistics import geometric_mean, median, stdev
+from statistics import fmean, median, stdev
 
-import torch
 from pathfold_training import store
-from pathfold_training.config import Config, load_preset
-from pathfold_training.data import Stored, ValidationViews
+from pathfold_training.config import load_preset
+from pathfold_training.data import Stored
 from pathfold_training.fit import fit
 from pathfold_training.render import render
-from pathfold_training.task import Denoising
+from pathfold_training.score import load, score
 
 ROUND = 8  # views between two looks at the clock
 HELD_OUT_SEED = 1000
@@ -45,23 +44,6 @@ def render_for(seconds: float, folder: Path, budget: float) -> None:
         done.write_text(json.dumps(spent))
 
 
-def score(checkpoint: Path, held_out: ValidationViews) -> float:
-    """Geometric mean over views of RelL2 over the noisy input's."""
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    task = Denoising(Config.model_validate(state["hyper_parameters"]["config"])).eval()
-    task.load_state_dict(state["state_dict"])
-    ratios = []
-    for index in range(len(held_out)):
-        batch = held_out[index]
-        exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
-        reference = batch.reference["color"] * exposure
-        with torch.no_grad():
-            pictures = task.denoise(batch), batch.inputs["color"]
-        clean, noisy = (((p * exposure - reference).square() / (reference.square() + 0.01)).mean() for p in pictures)
-        ratios.append(float(clean / noisy))
-    return geometric_mean(ratios)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
@@ -76,7 +58,7 @@ def main() -> None:
     clean = arguments.work / "held-out"
     render(clean, procedural=arguments.held_out, budget=arguments.clean, seed=HELD_OUT_SEED, held_out=0.0)
     preset = load_preset(arguments.preset)
-    held_out = ValidationViews(Stored(clean).train, preset.network.embedding > 0)
+    held_out = Stored(clean).train
     print(
         "| budget | views | median reference spp | their median RelL2 | loss | error / noisy | deviation over seeds |"
     )
@@ -95,9 +77,9 @@ def main() -> None:
             scores = []
             for seed in range(arguments.seeds):
                 run = arguments.work / "runs" / f"{budget:g}-{loss}-{seed}"
-                scores.append(score(fit(config, data, run, seed, 1, validate_every=10**6), held_out))
-            spread = stdev(map(math.log, scores)) if len(scores) > 1 else 0.0
-            print(f"| {facts} | {loss} | {geometric_mean(scores):.4f} | {100 * spread:.1f} % |", flush=True)
+                scores.append(score(load(fit(config, data, run, seed, 1, validate_every=10**6)), held_out))
+            spread = stdev(scores) if len(scores) > 1 else 0.0
+            print(f"| {facts} | {loss} | {math.exp(fmean(scores)):.4f} | {100 * spread:.1f} % |", flush=True)
 
 
 if __name__ == "__main__":

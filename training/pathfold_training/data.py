@@ -73,7 +73,7 @@ class View:
     """A window of a view that samples were kept of. `tensor` gives the view's tensors by name; what is cut is read."""
 
     def __init__(self, line: Line, tensor: Callable[[str], Any], number: int) -> None:
-        self.tensor, self.number = tensor, number
+        self.tensor, self.number, self.scene = tensor, number, str(line["scene"])
         self.samples, self.side = line["spp"], line["crop"]
         self.top, self.left = line["crops"][number]
         self.exposure, self.depth_scale = line["exposure"], line["depth_scale"]

@@ -146,12 +146,16 @@ class Denoising(lightning.LightningModule):
         return {"process": self.global_rank, "processes": processes, "gather": gather}
 
     def validation_step(self, batch: Batch, step: int) -> None:
+        # geometric mean over views of the ratio to the input: no view dominates
+        self.log("val_ratio_log", self.ratio_log(batch), prog_bar=True, batch_size=1, sync_dist=True)
+
+    def ratio_log(self, batch: Batch) -> Tensor:
+        """Logarithm of the denoised frame's RelL2, exposed, over that of its noisy input."""
         exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
         reference = batch.reference["color"] * exposure
         error = (self.denoise(batch) * exposure - reference).square() / (reference.square() + 0.01)
         noisy = (batch.inputs["color"] * exposure - reference).square() / (reference.square() + 0.01)
-        # geometric mean over views of the ratio to the input: no view dominates
-        self.log("val_ratio_log", torch.log(error.mean() / noisy.mean()), prog_bar=True, batch_size=1, sync_dist=True)
+        return torch.log(error.mean() / noisy.mean())
 
     def denoise(self, batch: Batch) -> Tensor:
         """The whole frame, linear unexposed radiance B x 3 x H x W."""

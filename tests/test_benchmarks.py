@@ -1,0 +1,80 @@
+"""The logic of measuring scripts under benchmarks/: weights, subsets, classes; not what they measure."""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from pathfold_training.config import Data, Optimiser, load_preset
+from pathfold_training.score import scene_mean
+from pathfold_training.store import Store
+from training_data import write_data_set
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
+
+import ablation
+
+TINY = {
+    "network": {"widths": [16, 16, 16, 16], "convolutions": [1, 1, 1, 1], "embedding": 2},
+    "data": Data(crop=24, batch=2, spp_max=4).model_dump(),
+    "optimiser": Optimiser(steps=2, warmup=1).model_dump(),
+}
+
+
+def test_every_scene_counts_alike() -> None:
+    assert scene_mean(["fur", "room", "fur", "fur"], [1.0, 5.0, 2.0, 3.0]) == pytest.approx(3.5)
+
+
+def test_a_smaller_share_of_scenes_is_part_of_a_larger_one() -> None:
+    scenes = [f"scene-{number % 20}" for number in range(50)]
+    quarter, half = (ablation.chosen_scenes(scenes, share) for share in (0.25, 0.5))
+    assert (len(quarter), len(half)) == (5, 10) and quarter < half
+    assert ablation.chosen_scenes(scenes, 1.0) == set(scenes)
+
+
+def test_a_subset_keeps_what_is_held_out_and_stays_as_it_was(tmp_path: Path) -> None:
+    data = write_data_set(tmp_path / "data", views=4)
+    index = data / "index.jsonl"
+    lines = [json.loads(line) for line in index.read_text().splitlines()]
+    index.write_text("".join(json.dumps(line | {"scene": line["id"]}) + "\n" for line in lines))
+    kept = Store(ablation.subset(data, tmp_path / "third", 1 / 3)).lines
+    assert [line["split"] for line in kept] == ["train", "val"]
+    index.write_text(index.read_text().splitlines(keepends=True)[-1])
+    assert Store(ablation.subset(data, tmp_path / "third", 1 / 3)).lines == kept
+
+
+@pytest.mark.parametrize("run", ["baseline", "kernel-11", "split"])
+def test_every_network_trains_and_keeps_a_constant(run: str, tmp_path: Path) -> None:
+    variant = next(v for v in ablation.VARIANTS if v.run == run)
+    config = ablation.changed(load_preset("pathfold-fast"), TINY)
+    data = write_data_set(tmp_path / "data")
+    views = ablation.Stored(data).held_out()
+    found = ablation.measure(variant, config, 0, data, tmp_path / "run", views)
+    assert found["logs"].keys() == {"2", "8"} and all(map(math.isfinite, found["logs"].values()))
+    network = variant.network(config.network)
+    levels = len(network.heads)
+    trust, logits = network.predict(torch.randn(1, 16, 16, 16))
+    if run == "split":
+        logits = [level.chunk(2, 1)[0] for level in logits]
+    image = network.reconstruct(
+        trust, [level + torch.randn_like(level) for level in logits], torch.full((1, 3, 30, 32), 2.5)
+    )
+    assert levels == len(logits)
+    torch.testing.assert_close(image, torch.full_like(image, 2.5))
+
+
+def test_a_misspelt_field_of_a_variant_is_an_error() -> None:
+    with pytest.raises(ValueError, match="manifold_weight"):
+        ablation.changed(load_preset("pathfold-fast"), {"loss": {"manifold_weight": 1.0}})
+
+
+def test_rows_are_compared_seed_by_seed() -> None:
+    def result(title: str, seed: int, log: float) -> dict:
+        return {"title": title, "seed": seed, "logs": {"2": log, "8": log}, "cpu_seconds": 1.0}
+
+    robust = next(v.title for v in ablation.VARIANTS if v.run == "robust")
+    rows = [result("baseline", 0, -1.0), result("baseline", 1, -3.0), result(robust, 0, -1.5)]
+    last = ablation.table(rows, (2, 8)).splitlines()[-1]
+    assert f" {math.exp(-0.5):.3f} |" in last

@@ -1,0 +1,46 @@
+"""How good a checkpoint is on views it was not trained on: RelL2 over the noisy input's, each scene counting alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import fmean
+
+import torch
+
+from .config import Config
+from .data import ValidationViews, View, without_paths
+from .task import Denoising
+
+
+def load(checkpoint: Path) -> Denoising:
+    """The network of a checkpoint of `fit`, ready to denoise: its averaged weights where the preset averages."""
+    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
+    task = Denoising(Config.model_validate(state["hyper_parameters"]["config"])).eval()
+    task.load_state_dict(state["state_dict"])
+    return task
+
+
+def score(task: Denoising, views: Sequence[View], spp: int = 8, paths: bool = True) -> float:
+    """Mean log of RelL2 over the noisy input's at `spp`, over whole windows; lower is better.
+
+    Scenes weigh alike, however many windows each has. `paths` False takes the descriptors away from a network that
+    could use them.
+    """
+    frames = ValidationViews(views, task.config.network.embedding > 0, spp)
+    logs = []
+    with torch.no_grad():
+        for index in range(len(frames)):
+            batch = frames[index]
+            blind = batch if paths else replace(batch, inputs=without_paths(batch.inputs), counts=[1])
+            logs.append(float(task.ratio_log(blind)))
+    return scene_mean([view.scene for view in views], logs)
+
+
+def scene_mean(scenes: Sequence[str], values: Sequence[float]) -> float:
+    """The mean over scenes of each scene's mean."""
+    of_scene: dict[str, list[float]] = {}
+    for scene, value in zip(scenes, values, strict=True):
+        of_scene.setdefault(scene, []).append(value)
+    return fmean(fmean(each) for each in of_scene.values())
