@@ -5,8 +5,10 @@ import math
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from pathfold.report.reference import Reference
 from pathfold_training.config import Data, Optimiser, load_preset
 from pathfold_training.score import scene_mean
 from pathfold_training.store import Store
@@ -15,6 +17,7 @@ from training_data import write_data_set
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
 import ablation
+import energy
 
 TINY = {
     "network": {"widths": [16, 16, 16, 16], "convolutions": [1, 1, 1, 1], "embedding": 2},
@@ -78,3 +81,17 @@ def test_rows_are_compared_seed_by_seed() -> None:
     rows = [result("baseline", 0, -1.0), result("baseline", 1, -3.0), result(robust, 0, -1.5)]
     last = ablation.table(rows, (2, 8)).splitlines()[-1]
     assert f" {math.exp(-0.5):.3f} |" in last
+
+
+def test_bias_is_told_from_variance_and_from_the_noise_of_the_reference() -> None:
+    rng = np.random.default_rng(0)
+    shape = (60, 80, 3)
+    halves = tuple(rng.normal(2.0, 0.5, shape).astype(np.float32) for _ in range(2))
+    reference = Reference(np.full(shape, 2.0, np.float32), halves)
+    spread = energy.Spread()
+    for _ in range(8):
+        spread.add(rng.normal(1.8, 0.4, shape).astype(np.float32), reference)
+    found = spread.summary(reference)
+    assert found["energies"] == pytest.approx([0.9] * 8, abs=0.005)
+    assert found["bias"] == pytest.approx(0.2**2 / 4.01, rel=0.1)
+    assert found["variance"] == pytest.approx(0.4**2 / 4.01, rel=0.02)

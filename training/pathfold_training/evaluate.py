@@ -22,7 +22,7 @@ def evaluate(scenes: Path, out: Path, models: list[str], spp: int = 8, seeds: in
     if not folders:
         raise ValueError(f"{scenes} has no folder with scene.xml and reference.exr")
     found = subjects.find_all(folders, subjects.Options(spps=(spp,), seeds=seeds))
-    methods = candidates.find_all([candidates.NOISY, *candidates.PEERS, *models])
+    methods = candidates.find_all([*candidates.COMPARED, *models])
     bench.make_folder(out)
     terminal = Console(stderr=True)
     with TemporaryDirectory(prefix="pathfold-") as folder, Progress(console=terminal) as progress:

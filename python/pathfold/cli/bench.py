@@ -29,7 +29,9 @@ def bench(
     spp: Annotated[str, typer.Option(metavar="N,N,...", help="Samples per pixel to render.")] = "1,2,4,8,16,32,64",
     methods: Annotated[
         str | None,
-        typer.Option(metavar="NAME,...", help="noisy, oidn, oidn-prefiltered, models; default: these and all shipped."),
+        typer.Option(
+            metavar="NAME,...", help="noisy, oidn, oidn-fast, oidn-prefiltered, models; default: all but oidn-fast."
+        ),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Renderings of each scene and spp.")] = 3,
     reference_spp: Annotated[

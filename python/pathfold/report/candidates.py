@@ -16,7 +16,8 @@ from pathfold.denoising import failure
 from pathfold.report import peers
 
 NOISY = "noisy"
-PEERS = {"oidn": peers.oidn, "oidn-prefiltered": peers.oidn_prefiltered}
+PEERS = {"oidn": peers.oidn, "oidn-fast": peers.oidn_fast, "oidn-prefiltered": peers.oidn_prefiltered}
+COMPARED = (NOISY, "oidn", "oidn-prefiltered")  # with models, where nobody says otherwise
 
 Image = NDArray[np.float32]
 Buffers = Mapping[str, NDArray[Any]]
@@ -39,7 +40,7 @@ class Candidate:
 
 
 def find(argument: str) -> Candidate:
-    """`noisy`, `oidn`, `oidn-prefiltered`, or a model's name or folder.
+    """`noisy`, `oidn`, `oidn-fast`, `oidn-prefiltered`, or a model's name or folder.
 
     Raises PathfoldError ("not-found") that says what there is.
     """
@@ -74,7 +75,7 @@ def find_all(arguments: Sequence[str]) -> list[Candidate]:
 
 def default_arguments() -> list[str]:
     """The noisy picture, OIDN twice, and the shipped models."""
-    return [NOISY, *PEERS, *models.available(models.shipped_directories())]
+    return [*COMPARED, *models.available(models.shipped_directories())]
 
 
 def _peer(name: str) -> Candidate:

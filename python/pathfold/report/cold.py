@@ -30,6 +30,12 @@ def measure(candidate: candidates.Candidate, buffers: Mapping[str, NDArray[Any]]
 
     The inputs are in memory before the clock starts. Raises ColdError.
     """
+    taken = first_frame(candidate, buffers)
+    return taken["ms"], taken["mb"]
+
+
+def first_frame(candidate: candidates.Candidate, buffers: Mapping[str, NDArray[Any]]) -> dict[str, float]:
+    """`measure`'s two as "ms" and "mb", and "total_mb", the peak of the whole process. Raises ColdError."""
     with TemporaryDirectory(prefix="pathfold-") as folder:
         for name in candidate.reads & buffers.keys():
             np.save(Path(folder) / f"{name}.npy", buffers[name])
@@ -42,8 +48,8 @@ def measure(candidate: candidates.Candidate, buffers: Mapping[str, NDArray[Any]]
         lines = done.stderr.strip().splitlines()
         killed = f"its process ended with signal {-done.returncode}" if done.returncode < 0 else "it failed"
         raise ColdError(lines[-1] if lines and done.returncode > 0 else killed)
-    taken = json.loads(done.stdout.splitlines()[-1])
-    return taken["ms"], taken["mb"]
+    taken: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+    return taken
 
 
 def main(argument: str, folder: Path) -> None:
@@ -54,7 +60,8 @@ def main(argument: str, folder: Path) -> None:
     start = perf_counter()
     candidate.load()(buffers, None)
     milliseconds = 1000 * (perf_counter() - start)
-    print(json.dumps({"ms": milliseconds, "mb": max(0.0, memory.peak() - before)}))
+    peak = memory.peak()
+    print(json.dumps({"ms": milliseconds, "mb": max(0.0, peak - before), "total_mb": peak}))
 
 
 if __name__ == "__main__":

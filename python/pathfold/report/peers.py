@@ -15,6 +15,11 @@ def oidn(color: Image, albedo: Image | None, normal: Image | None, scale: float 
     return _denoise(color, albedo, normal, scale, clean=False)
 
 
+def oidn_fast(color: Image, albedo: Image | None, normal: Image | None, scale: float | None = None) -> Image:
+    """Quality fast with the noisy guides as they are."""
+    return _denoise(color, albedo, normal, scale, clean=False, quality="fast")
+
+
 def oidn_prefiltered(color: Image, albedo: Image | None, normal: Image | None, scale: float | None = None) -> Image:
     """Quality high with guides denoised first and `cleanAux`: its best."""
     guides = (_prefiltered("albedo", albedo), _prefiltered("normal", normal))
@@ -26,23 +31,30 @@ def keep_torch_out() -> None:
     sys.modules.setdefault("torch", None)  # type: ignore[arg-type]
 
 
-def _denoise(color: Image, albedo: Image | None, normal: Image | None, scale: float | None, clean: bool) -> Image:
+def _denoise(
+    color: Image,
+    albedo: Image | None,
+    normal: Image | None,
+    scale: float | None,
+    clean: bool,
+    quality: str = "high",
+) -> Image:
     if albedo is None:
         normal = None  # it takes normals only beside an albedo
     if scale is None:
-        denoised: Image = _pyoidn().denoise(color, albedo, normal, hdr=True, clean_aux=clean, quality="high")
+        denoised: Image = _pyoidn().denoise(color, albedo, normal, hdr=True, clean_aux=clean, quality=quality)
         return denoised
     images = {"color": color, "albedo": albedo, "normal": normal}
     given = tuple(name for name, image in images.items() if image is not None)
     settings: dict[str, bool | float] = {"hdr": True, "cleanAux": clean, "inputScale": scale}
-    return _execute(_filter(given), {name: images[name] for name in given}, settings)
+    return _execute(_filter(given), {name: images[name] for name in given}, settings, quality)
 
 
 def _prefiltered(name: str, guide: Image | None) -> Image | None:
     return None if guide is None else _execute(_filter((name,)), {name: guide}, {})
 
 
-def _execute(run: Any, images: dict[str, Any], settings: dict[str, bool | float]) -> Image:
+def _execute(run: Any, images: dict[str, Any], settings: dict[str, bool | float], quality: str = "high") -> Image:
     pyoidn = _pyoidn()
     images = {name: np.ascontiguousarray(image, np.float32) for name, image in images.items()}
     output = np.empty_like(next(iter(images.values())))
@@ -50,7 +62,7 @@ def _execute(run: Any, images: dict[str, Any], settings: dict[str, bool | float]
         run.set_image(name, image, pyoidn.OIDN_FORMAT_FLOAT3)
     for name, value in settings.items():
         (run.set_bool if isinstance(value, bool) else run.set_float)(name, value)
-    run.set_quality(pyoidn.OIDN_QUALITY_HIGH)
+    run.set_quality({"high": pyoidn.OIDN_QUALITY_HIGH, "fast": pyoidn.OIDN_QUALITY_FAST}[quality])
     run.commit()
     run.execute()
     if error := _device().get_error():
