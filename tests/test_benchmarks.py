@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
 import ablation
 import energy
+import paths_gain
 
 TINY = {
     "network": {"widths": [16, 16, 16, 16], "convolutions": [1, 1, 1, 1], "embedding": 2},
@@ -95,3 +96,41 @@ def test_bias_is_told_from_variance_and_from_the_noise_of_the_reference() -> Non
     assert found["energies"] == pytest.approx([0.9] * 8, abs=0.005)
     assert found["bias"] == pytest.approx(0.2**2 / 4.01, rel=0.1)
     assert found["variance"] == pytest.approx(0.4**2 / 4.01, rel=0.02)
+
+
+def test_pixels_are_classed_by_what_most_samples_do() -> None:
+    tags = np.zeros((3, 1, 5, 6))
+    tags[:, 0, 0, 0] = 5  # diffuse, then the light
+    tags[:, 0, 1, :2] = [17, 5]  # a mirror shows a diffuse surface
+    tags[:, 0, 2, :3] = [5, 18, 18]  # light through glass falls onto a diffuse surface
+    tags[:2, 0, 3, :2] = [9, 5]  # two of three samples are glossy
+    descriptor = np.zeros((3, 1, 5, 36), np.float16)
+    descriptor[..., paths_gain.TAGS] = tags
+    image = np.ones((1, 5, 3), np.float32)
+    found = paths_gain.classes({"samples.descriptor": descriptor, "color": image, "variance": image, "diffuse": image})
+    where = {name: np.flatnonzero(mask).tolist() for name, mask in found.items()}
+    assert where["first event diffuse"] == [0, 2]
+    assert where["first event delta"] == [1]
+    assert where["first event glossy"] == [3]
+    assert where["first event none"] == [4]
+    assert where["light: direct"] == [0, 4]
+    assert where["light: several events"] == [1, 3]
+    assert where["light: caustic"] == [2]
+    assert sum(mask.sum() for mask in found.values()) == 4 * 5  # four ways to class, each whole
+
+
+def test_gain_is_of_errors_summed_over_seeds() -> None:
+    def row(scene: str, seed: int, with_paths: float, without: float) -> dict:
+        return {
+            "scene": scene,
+            "spp": 8,
+            "seed": seed,
+            "with": {"rell2": with_paths, "flip": 0.1},
+            "without": {"rell2": without, "flip": 0.2},
+            "classes": {name: [100, 100 * with_paths, 100 * without] for name in "abcd"},
+        }
+
+    rows = [row("x", 0, 1.0, 2.0), row("x", 1, 3.0, 6.0), row("y", 0, 8.0, 4.0)]
+    assert "1.000, wins 1 of 2" in paths_gain.scene_table(rows, 8)
+    assert "0.500, wins 2 of 2" in paths_gain.scene_table(rows, 8)
+    assert paths_gain.class_table(rows, [8]).splitlines()[-1] == "| d | 100.0% | 100.0% | 2 | 1.000 |"
