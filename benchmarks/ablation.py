@@ -231,12 +231,14 @@ def main() -> None:
         if options.only and variant.run not in options.only:
             continue
         config = changed(preset, variant.change)
+        unchanged = (config, variant.scenes, variant.network) == (preset, 1.0, Pathfold)
+        name = BASELINE if unchanged else variant.run  # a row may name what the preset has already
         folder = part(options.work / f"data-{100 * variant.scenes:.0f}", variant.scenes)
         for seed in range(options.seeds if variant.all_seeds else 1):
             key = {"title": variant.title, "seed": seed, "config": json.loads(config.model_dump_json())}
             found = next((r for r in results if all(r[name] == value for name, value in key.items())), None)
             if found is None:
-                run = options.work / f"{config.name}-{options.steps}" / f"{variant.run}-{seed}"
+                run = options.work / f"{config.name}-{options.steps}" / f"{name}-{seed}"
                 found = key | measure(variant, config, seed, folder, run, views) | {"commit": commit()}
                 with kept.open("a") as file:
                     file.write(json.dumps(found) + "\n")
