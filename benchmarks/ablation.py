@@ -35,7 +35,7 @@ from pathfold_training.config import Config, Pyramid, load_preset
 from pathfold_training.data import Stored, View
 from pathfold_training.fit import commit, fit, training_seconds
 from pathfold_training.networks import pathfold
-from pathfold_training.networks.pathfold import ALBEDO_EPSILON, Pathfold, aligned, exact
+from pathfold_training.networks.pathfold import ALBEDO_EPSILON, Pathfold, Prediction, aligned, exact, reconstruct
 from pathfold_training.networks.reconstruct import bounded_exp, normalised, weigh_taps
 from pathfold_training.score import load, score
 from torch import Tensor, nn
@@ -52,8 +52,8 @@ class SingleKernel(Pathfold):
         super().__init__(network)
         self.heads = nn.ModuleList([empty_head(network.widths[0], 4 * SIDE * SIDE)])
 
-    def predict(self, entrance: Tensor) -> tuple[Tensor, list[Tensor]]:
-        x, trust = torch.relu(entrance), None
+    def predict(self, entrance: Tensor) -> Prediction:
+        x = torch.relu(entrance)
         skips = []
         for level, down in enumerate(self.down):
             x = down(functional.max_pool2d(x, 2) if level > 0 else x)
@@ -61,14 +61,25 @@ class SingleKernel(Pathfold):
         trust = -9.0 * torch.sigmoid(exact(self.trust(skips[0])))
         for level in reversed(range(len(self.up))):
             x = self.up[level](skips[level] + pathfold.upsample(self.project[level](x)))
-        return trust, [self.heads[0](x)]
+        cleaning = None if self.cleaning is None else torch.sigmoid(exact(self.cleaning(x)))
+        return Prediction(trust, [exact(self.heads[0](x))], cleaning)
+
+    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Tensor, list[Tensor], Tensor]:
+        predicted, paths = self(inputs, counts)
+        factor = pathfold.demodulator(inputs) if self.network.demodulate else torch.ones_like(inputs["radiance"])
+        image, local = self.weigh(predicted, inputs["radiance"] / factor), factor
+        if predicted.cleaning is not None:
+            height, width = factor.shape[-2:]
+            share = functional.pixel_shuffle(predicted.cleaning, 2)[:, :, :height, :width]
+            local = factor + share * (self.weigh(predicted, factor) - factor)
+        return image * local, predicted.logits, paths
 
     @staticmethod
-    def reconstruct(trust: Tensor, logits: list[Tensor], radiance: Tensor) -> Tensor:
-        height, width = radiance.shape[-2:]
-        weight = torch.exp(functional.pixel_shuffle(trust, 2))
-        source = aligned(torch.cat([radiance, torch.ones_like(radiance[:, :1])], 1)) * weight
-        kernel = bounded_exp(functional.pixel_shuffle(logits[0], 2))
+    def weigh(predicted: Prediction, image: Tensor) -> Tensor:
+        height, width = image.shape[-2:]
+        weight = torch.exp(functional.pixel_shuffle(predicted.trust, 2))
+        source = aligned(torch.cat([image, torch.ones_like(image[:, :1])], 1)) * weight
+        kernel = bounded_exp(functional.pixel_shuffle(predicted.logits[0], 2))
         return normalised(weigh_taps(kernel, source, TAPS, SIDE // 2))[0][:, :, :height, :width]
 
 
@@ -81,26 +92,26 @@ class SplitKernels(Pathfold):
         self.heads = nn.ModuleList(empty_head(head.in_channels, 2 * head.out_channels) for head in self.heads)
 
     def entrance(self, inputs: dict[str, Tensor], sums: Tensor) -> Tensor:
-        exposed = self.parts(inputs)[0] * inputs["exposure"].reshape(-1, 1, 1, 1)
+        diffuse, _, factor = self.parts(inputs)
+        exposed = diffuse / factor * inputs["exposure"].reshape(-1, 1, 1, 1)
         return super().entrance(inputs, sums) + self.diffuse(
             functional.pixel_unshuffle(aligned(torch.log1p(exposed)), 2)
         )
 
     def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Tensor, list[Tensor], Tensor]:
-        trust, predicted, paths = self(inputs, counts)
-        logits = [exact(level) for level in predicted]
+        predicted, paths = self(inputs, counts)
+        logits = [exact(level) for level in predicted.logits]
         diffuse, specular, factor = self.parts(inputs)
         own, other = zip(*(level.chunk(2, 1) for level in logits), strict=True)
-        image = self.reconstruct(trust, list(own), diffuse) * factor + self.reconstruct(trust, list(other), specular)
-        return image, logits, paths
+        image = reconstruct(predicted._replace(logits=list(own)), diffuse, factor)
+        return image + reconstruct(predicted._replace(logits=list(other)), specular, None), logits, paths
 
     @staticmethod
     def parts(inputs: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """The demodulated diffuse radiance, the rest, and the factor; in frames without a split all is the rest."""
+        """Diffuse radiance, the rest, and what the first is divided by; in frames without a split all is the rest."""
         split = inputs["split.present"].reshape(-1, 1, 1, 1)
-        factor = inputs["diffuse.albedo"] + ALBEDO_EPSILON
         diffuse = inputs["diffuse"] * split
-        return diffuse / factor, torch.relu(inputs["radiance"] - diffuse), factor
+        return diffuse, torch.relu(inputs["radiance"] - diffuse), inputs["diffuse.albedo"] + ALBEDO_EPSILON
 
 
 def empty_head(inputs: int, outputs: int) -> nn.Conv2d:
@@ -138,6 +149,7 @@ VARIANTS = (
     Variant("robust", "robust loss", {"loss": {"image": "robust"}}),
     Variant("unbiased", "unbiased loss", {"loss": {"image": "unbiased"}}),
     Variant("split", "diffuse and specular each", {}, network=SplitKernels),
+    Variant("uncleaned", "albedo not cleaned", {"network": {"clean": False}}),
     Variant("modulated", "not demodulated", {"network": {"demodulate": False}}),
     Variant("scenes-25", "25 % of the scenes", {}, scenes=0.25),
     Variant("scenes-50", "50 % of the scenes", {}, scenes=0.5),

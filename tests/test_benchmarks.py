@@ -10,6 +10,7 @@ import pytest
 import torch
 from pathfold.report.reference import Reference
 from pathfold_training.config import Data, Optimiser, load_preset
+from pathfold_training.data import ValidationViews, View
 from pathfold_training.score import scene_mean
 from pathfold_training.store import Store
 from training_data import write_data_set
@@ -58,15 +59,18 @@ def test_every_network_trains_and_keeps_a_constant(run: str, tmp_path: Path) -> 
     found = ablation.measure(variant, config, 0, data, tmp_path / "run", views)
     assert found["logs"].keys() == {"2", "8"} and all(map(math.isfinite, found["logs"].values()))
     network = variant.network(config.network)
-    levels = len(network.heads)
-    trust, logits = network.predict(torch.randn(1, 16, 16, 16))
-    if run == "split":
-        logits = [level.chunk(2, 1)[0] for level in logits]
-    image = network.reconstruct(
-        trust, [level + torch.randn_like(level) for level in logits], torch.full((1, 3, 30, 32), 2.5)
-    )
-    assert levels == len(logits)
-    torch.testing.assert_close(image, torch.full_like(image, 2.5))
+    for head in network.heads:
+        torch.nn.init.normal_(head.weight)
+    inputs = views_inputs(views[0])
+    constant = {name: torch.full_like(inputs[name], 2.5) for name in ("radiance", "diffuse")}
+    flat = {name: torch.full_like(inputs[name], 0.4) for name in ("albedo", "diffuse.albedo")}
+    image, _, _ = network.filter(inputs | constant | flat)
+    torch.testing.assert_close(image, constant["radiance"])
+
+
+def views_inputs(view: View) -> dict[str, torch.Tensor]:
+    inputs = ValidationViews([view], True, 2)[0].inputs
+    return inputs | {"radiance": inputs["color"]}
 
 
 def test_a_misspelt_field_of_a_variant_is_an_error() -> None:
