@@ -166,7 +166,7 @@ def test_peak_memory_and_cold_time_of_a_fresh_process(tiny: Path) -> None:
 
 
 def test_names_that_are_no_method_or_scene(tiny: Path, tmp_path: Path) -> None:
-    with pytest.raises(Exception, match=r"nonsense.*besides models there are noisy, oidn, oidn-prefiltered"):
+    with pytest.raises(Exception, match=r"nonsense.*besides models there are noisy, oidn, oidn-fast, oidn-prefiltered"):
         candidates.find_all(["nonsense"])
     shutil.copytree(tiny / "split-5", tmp_path / "split-5")
     with pytest.raises(Exception, match="both called split-5"):
