@@ -49,6 +49,7 @@ class Loss(Strict):
     """Weights of the terms, see losses.py."""
 
     image: Literal["robust", "unbiased"] = "robust"  # the second for references of few samples
+    energy: float = 0.0  # error of block means, against darkening
     branch: float = 0.5  # per-branch terms beside the recombined image
     logits: float = 1.0e-4  # excess of |logit| over 10
     manifold: float = (

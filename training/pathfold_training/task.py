@@ -15,7 +15,7 @@ from torch import Tensor
 from .config import Config, Pyramid
 from .data import Batch, Inputs
 from .features import DEMODULATION_EPSILON
-from .losses import error_scale, logit_excess, manifold_loss, robust_relative, tone_map, unbiased_relative
+from .losses import energy_error, error_scale, logit_excess, manifold_loss, robust_relative, tone_map, unbiased_relative
 from .networks.kpcn import Kpcn, path_features
 from .networks.pathfold import Pathfold
 from .networks.reconstruct import gather
@@ -120,8 +120,13 @@ class Denoising(lightning.LightningModule):
         inputs, exposure = batch.inputs | {"radiance": batch.inputs["color"]}, batch.inputs["exposure"]
         image, logits, paths = model.filter(inputs, batch.counts)
         reference = batch.reference["color"] * exposure.reshape(-1, 1, 1, 1)
-        error = self.image_error(image * exposure.reshape(-1, 1, 1, 1), reference, error_scale(reference))
+        exposed = image * exposure.reshape(-1, 1, 1, 1)
+        error = self.image_error(exposed, reference, error_scale(reference))
         loss = error + self.config.loss.logits * sum(logit_excess(level) for level in logits)
+        if self.config.loss.energy > 0.0:
+            energy = energy_error(exposed, reference)
+            loss = loss + self.config.loss.energy * energy
+            self.log("energy", energy, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         if self.config.loss.manifold > 0.0:
             pairs = self.config.loss.manifold_pairs
             manifold = manifold_loss(paths, tone_map(reference), batch.counts, pairs, self.generator, **self.sharing())
