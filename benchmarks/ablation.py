@@ -148,6 +148,7 @@ VARIANTS = (
     Variant("kernel-11", "one 11x11 kernel instead of the pyramid", {}, network=SingleKernel),
     Variant("robust", "robust loss", {"loss": {"image": "robust"}}),
     Variant("unbiased", "unbiased loss", {"loss": {"image": "unbiased"}}),
+    Variant("no-energy", "without the error of block means", {"loss": {"energy": 0.0}}),
     Variant("split", "diffuse and specular each", {}, network=SplitKernels),
     Variant("uncleaned", "albedo not cleaned", {"network": {"clean": False}}),
     Variant("modulated", "not demodulated", {"network": {"demodulate": False}}),

@@ -7,7 +7,7 @@ import pytest
 import torch
 from pathfold_training.config import Network, load_preset, preset_names
 from pathfold_training.features import OPTIONAL
-from pathfold_training.losses import manifold_loss, robust_relative, tone_map, unbiased_relative
+from pathfold_training.losses import energy_error, manifold_loss, robust_relative, tone_map, unbiased_relative
 from pathfold_training.networks.embedding import PathEmbedding, pixel_embedding
 from pathfold_training.networks.kpcn import Branch, Kpcn, macs_per_pixel, overlap
 from pathfold_training.networks.reconstruct import gather
@@ -165,6 +165,20 @@ def test_manifold_loss_of_one_known_pair() -> None:
     term = (4 - 0.25) ** 2
     loss = manifold_loss(embedding, label, [1], 4000, torch.Generator().manual_seed(0))
     assert float(loss) == pytest.approx(term, rel=0.05)  # local and non-local each hit unlike pixels half the time
+
+
+def test_energy_error_sees_darkening_and_not_noise() -> None:
+    g = torch.Generator().manual_seed(0)
+    reference = 2.0 * torch.rand((1, 3, 50, 40), generator=g) + 1.0
+    noisy = reference * (1 + 0.5 * torch.randn(reference.shape, generator=g))
+    darker = float(energy_error(0.95 * reference, reference))
+    assert darker == pytest.approx(0.05**2, rel=0.01)
+    assert float(energy_error(noisy, reference)) < 1.5 * darker  # and by pixels a hundred times as large
+    assert float(robust_relative(noisy, reference, reference)) > 50 * darker
+    firefly = reference.clone()
+    firefly[:, :, 3, 3] += 1e6
+    assert float(energy_error(firefly, reference)) < 10  # the logarithm's tail
+    assert float(energy_error(reference, reference)) == 0.0
 
 
 def test_robust_relative() -> None:
