@@ -16,7 +16,7 @@ pytest.importorskip("flip_evaluator")
 pytest.importorskip("skimage")
 pytest.importorskip("pyoidn")
 
-from pathfold import metrics
+from pathfold import PathfoldError, metrics
 from pathfold.cli import app, console
 from pathfold.cli.bench import without_place
 from pathfold.images import ImageError
@@ -344,6 +344,22 @@ def test_evaluate_goes_the_same_way(tmp_path: Path, tiny: Path) -> None:
 def test_results_do_not_tell_where_things_lie(tmp_path: Path) -> None:
     assert without_place(str(tmp_path / "scenes")) == "scenes"
     assert [without_place(given) for given in ("scenes/a.xml", "--spp", "2,4")] == ["scenes/a.xml", "--spp", "2,4"]
+
+
+def test_a_model_is_measured_in_a_precision(tiny: Path) -> None:
+    plain, exact, rounded = candidates.find_all(["quantised-3", "quantised-3:fp32", f"{tiny / 'quantised-3'}:int8"])
+    assert [method.name for method in (plain, exact, rounded)] == [
+        "quantised-3",
+        "quantised-3:fp32",
+        "quantised-3:int8",
+    ]
+    assert exact.identity != rounded.identity  # a variant may be written anew without the rest
+    color = np.random.default_rng(0).exponential(1.0, (20, 30, 3)).astype(np.float32)
+    assert (exact.load()({"color": color}, 1.0) != rounded.load()({"color": color}, 1.0)).any()
+    with pytest.raises(PathfoldError, match="single-3:int8: the model has no int8, only fp32"):
+        candidates.find("single-3:int8")
+    with pytest.raises(PathfoldError, match="int8"):
+        candidates.find("int8")
 
 
 def test_a_models_fingerprint_is_of_what_its_results_depend_on(tiny_models: Path) -> None:

@@ -77,6 +77,14 @@ def test_models_are_tried_in_order_among_those_that_can_read_the_frame(monkeypat
     assert chooser.choose(frame() | samples).denoiser.model.name == "samples-5"
 
 
+@pytest.mark.usefixtures("tiny")
+def test_only_models_of_the_precision_that_is_asked_for_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budget, "PREFERRED", ("single-3", "quantised-3"))
+    assert Budget(PLENTY, precision="fp32").models == ["single-3", "quantised-3"]
+    chosen = Budget(PLENTY, precision="int8").choose(frame()).denoiser.model
+    assert (chosen.name, chosen.precision) == ("quantised-3", "int8")
+
+
 def test_paths_are_given_up_before_the_model() -> None:
     pixels = frame() | {"samples.descriptor": np.zeros((2, 40, 56, 36), np.float16)}
     candidates = [str(one) for one in Budget(PLENTY, model="pathfold-balanced")._candidates(pixels)]

@@ -1,5 +1,6 @@
 """`pathfold check`: its frames, its measure, its verdicts; and its properties on random frames."""
 
+import hashlib
 import json
 import math
 import shutil
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -69,9 +71,9 @@ def test_a_row_gives_every_reason() -> None:
     assert Row("case", "", error=math.nan, allowed=0.1).judged().reason
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_models_are_stable(name: str) -> None:
-    report = check_model(SHIPPED[name])
+@pytest.mark.parametrize(("name", "precision"), [(n, p) for n in SHIPPED for p in models.precisions(n)])
+def test_shipped_models_are_stable(name: str, precision: str) -> None:
+    report = check_model(SHIPPED[name], precision=precision)
     assert report.passed, [(row.name, row.reason) for row in report.rows if row.reason]
     assert len(report.rows) > 30
 
@@ -89,13 +91,41 @@ def run(tiny: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtu
 def test_the_table_says_what_was_not_checked(run: Any) -> None:
     code, out, _ = run("--model", "single-3", "--model", "single-21")
     assert code == 0
-    assert "single-3: all" in out and "single-21: all" in out and "error, fp32" in out
+    assert "single-3, fp32: all" in out and "single-21, fp32: all" in out and "error, fp32" in out
     assert "no usable references.npz" in out and "left out" in out and "no accumulator" in out
+
+
+def test_a_model_is_checked_in_every_precision(run: Any, tiny: Path) -> None:
+    code, out, _ = run("--model", "quantised-3")
+    assert code == 0 and "quantised-3, fp32: all" in out and "quantised-3, int8: all" in out
+    assert "error, int8" in out and "to those in fp32" in out
+    plain = check_model(tiny / "quantised-3", precision="int8").rows[0]
+    assert plain.name == "plain" and 1e-3 < (plain.error or 0) < plain.allowed == tolerance("chain.int8")
+
+
+def test_an_int8_graph_of_other_weights_is_found(tiny: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(tiny / "quantised-3", tmp_path / "model")
+    graph = onnx.load(folder / "color.int8.onnx")
+    (scales,) = (tensor for tensor in graph.graph.initializer if tensor.name == "weights:scales")
+    scales.CopyFrom(onnx.numpy_helper.from_array(-4 * onnx.numpy_helper.to_array(scales), scales.name))
+    onnx.save(graph, folder / "color.int8.onnx")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    digest = hashlib.sha256((folder / "color.int8.onnx").read_bytes()).hexdigest()
+    manifest["variants"]["int8"]["graphs"]["color"]["sha256"] = digest
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    assert check_model(folder).passed
+    rows = check_model(folder, precision="int8").rows
+    assert "error above" in rows[0].reason
+
+
+def test_tolerances_of_a_precision() -> None:
+    assert tolerance("tiles", "int8") > tolerance("tiles")
+    assert tolerance("constant", "int8") == tolerance("constant")
 
 
 def test_a_network_that_sees_the_scale_is_found(run: Any) -> None:
     code, out, _ = run("--model", "samples-5")  # its logits depend on the exposure itself
-    assert code == 1 and "samples-5: 1 of" in out
+    assert code == 1 and "samples-5, fp32: 1 of" in out
     (line,) = (line for line in out.splitlines() if "scale equivariance" in line)
     assert "error above" in line
 

@@ -103,6 +103,17 @@ def test_denoise_says_what_it_left_out(run, tmp_path: Path) -> None:
     assert code == 3 and 'leave_out is "pixels"; it must be all, none' in err
 
 
+def test_denoise_in_a_precision(run, tmp_path: Path) -> None:
+    source, target = beauty(tmp_path / "in.exr"), tmp_path / "out.exr"
+    for precision in ("fp32", "int8"):
+        code, out, _ = run("denoise", source, "-o", target, "-m", "quantised-3", "--precision", precision)
+        assert code == 0 and f"quantised-3, precision {precision}, read " in out
+        assert ImageFile(target).metadata()["pathfold:precision"] == precision
+    assert "fp32, int8 (RelL2 1.005 of fp32's); runs in " in run("info", "quantised-3")[1]
+    code, _, err = run("denoise", source, "-o", target, "-m", "single-3", "--precision", "int8")
+    assert code == 4 and "single-3 has no int8 variant" in err
+
+
 def test_denoise_quietly(run, tmp_path: Path) -> None:
     source = beauty(tmp_path / "in.exr")
     assert run("denoise", source, "-o", tmp_path / "out.exr", "-q", "-m", "single-3") == (0, "", "")

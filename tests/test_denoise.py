@@ -259,6 +259,30 @@ def test_models_are_listed_in_order_of_search(tiny: Path) -> None:
     assert pathfold.models.inputs("single-3") >= {"color"}
 
 
+def test_precision_is_chosen_and_reported(tiny: Path) -> None:
+    exact, rounded = (pathfold.Denoiser("quantised-3", precision=precision) for precision in ("fp32", "int8"))
+    color = picture()
+    images = {}
+    for precision, denoiser in (("fp32", exact), ("int8", rounded)):
+        result = denoiser.run(color)
+        assert result.report["precision"] == denoiser.model.precision == precision
+        images[precision] = result.color
+        assert (pathfold.denoise(color, model="quantised-3", precision=precision) == result.color).all()
+        assert (pathfold.denoise(color, model=denoiser) == result.color).all()
+    assert (images["fp32"] != images["int8"]).any()
+    automatic = pathfold.Denoiser("quantised-3").model.precision
+    assert (pathfold.denoise(color, model="quantised-3") == images[automatic]).all()
+    assert pathfold.Denoiser("single-3").model.precision == "fp32"
+    assert pathfold.models.precisions("quantised-3") == ["fp32", "int8"]
+    with pytest.raises(pathfold.PathfoldError, match="model is a Denoiser in fp32; make one in int8"):
+        pathfold.denoise(color, model=exact, precision="int8")
+    with pytest.raises(pathfold.PathfoldError, match='precision is "half"; it must be auto, fp32 or int8'):
+        pathfold.denoise(color, model="quantised-3", precision="half")
+    with pytest.raises(pathfold.PathfoldError, match="single-3 has no int8 variant; give precision fp32") as caught:
+        pathfold.denoise(color, model="single-3", precision="int8")
+    assert caught.value.code == "unsupported"
+
+
 def test_a_repeated_call_loads_nothing(tiny: Path) -> None:
     pathfold.denoise(picture(), model="single-3")
     start = time.process_time()

@@ -48,7 +48,7 @@ VALUES = st.one_of(
 Json = Any
 
 
-@pytest.fixture(scope="module", params=["split-5", "single-3", "pathfold-balanced"])
+@pytest.fixture(scope="module", params=["split-5", "quantised-3", "pathfold-balanced"])
 def good(request: pytest.FixtureRequest, tiny_models: Path) -> Json:
     if request.param != "pathfold-balanced":
         return json.loads((tiny_models / request.param / "manifest.json").read_text())
@@ -155,5 +155,6 @@ def test_shipped_manifests_fit_the_schema(name: str) -> None:
     folder = SCHEMA.parents[1] / "models" / name
     manifest = json.loads((folder / "manifest.json").read_text())
     VALIDATOR.validate(manifest)
-    for graph in manifest["graphs"].values():
+    variants = [graph for block in manifest.get("variants", {}).values() for graph in block["graphs"].values()]
+    for graph in [*manifest["graphs"].values(), *variants]:
         assert hashlib.sha256((folder / graph["file"]).read_bytes()).hexdigest() == graph["sha256"]

@@ -206,9 +206,10 @@ void translate(std::exception_ptr pointer) {
     }
 }
 
-pathfold::Model load_model(const std::string &folder, const std::string &provider, int threads) {
+pathfold::Model load_model(const std::string &folder, const std::string &provider, int threads,
+                           const std::string &precision) {
     py::gil_scoped_release release;
-    return pathfold::Model(folder, provider, threads);
+    return pathfold::Model(folder, provider, threads, precision);
 }
 
 auto manifest_entry(const char *key) {
@@ -230,14 +231,15 @@ PYBIND11_MODULE(_core, module) {
 
     py::class_<pathfold::Model>(module, "Model", "A model folder, checked and loaded. Immutable.")
         .def(py::init(&load_model), py::arg("folder"), py::kw_only(), py::arg("provider") = "cpu",
-             py::arg("threads") = 0,
+             py::arg("threads") = 0, py::arg("precision") = "auto",
              "Loads a model folder (or a model by name). provider: \"cpu\", \"cuda\", ...; threads: 0 for "
-             "all.")
+             "all; precision: \"auto\", \"fp32\" or \"int8\", see pathfold.h.")
         .def_property_readonly("manifest", [](const pathfold::Model &m) { return parse_json(m.manifest()); })
         .def_property_readonly("name", manifest_entry("name"))
         .def_property_readonly("requires", manifest_entry("requires"))
         .def_property_readonly("uses", manifest_entry("uses"))
-        .def_property_readonly("folder", &pathfold::Model::folder);
+        .def_property_readonly("folder", &pathfold::Model::folder)
+        .def_property_readonly("precision", &pathfold::Model::precision);
 
     py::class_<Denoiser>(module, "Denoiser", "One model applied to frames; keeps its working memory.")
         .def(py::init<const pathfold::Model &, int, int, const std::string &>(), py::arg("model"),

@@ -104,9 +104,13 @@ class Budget:
             raise failure("unsupported", "memory_mb: this system does not tell what a process holds; leave it away")
         self.seconds, self.memory_mb = seconds, memory_mb
         known = models.available()
-        self.models = [model] if model else [name for name in PREFERRED if name in known]
+        needed = {options.get("precision", "auto")} & {"int8"}
+        fitting = [name for name in PREFERRED if name in known and needed <= {*models.precisions(name)}]
+        self.models = [model] if model else fitting
         if not self.models:
-            raise failure("not-found", f"none of {', '.join(PREFERRED)} is there; name a model")
+            raise failure(
+                "not-found", f"none of {', '.join(PREFERRED)} is there{' in int8' * len(needed)}; name a model"
+            )
         self._options = options
         self._chosen: dict[tuple[Any, ...], Choice] = {}
 

@@ -42,9 +42,10 @@ class Denoiser:
     """A model that is loaded and ready; keep it for repeated frames.
 
     `model` is a name (`pathfold.models.available()`), a folder, or the `model` of another Denoiser, which they then
-    share (with its `provider` and `threads`). `provider` names the onnxruntime execution
-    provider ("cpu", "cuda", ...); one that is not there is an error, never replaced. `threads` 0 means all
-    cores,
+    share (with its `provider`, `threads` and `precision`). `provider` names the onnxruntime execution
+    provider ("cpu", "cuda", ...); one that is not there is an error, never replaced. `threads` 0 means all cores.
+    `precision` of the networks: "fp32", "int8" where the model has it, or "auto", the faster one (int8 where the model
+    has it, on CPUs that multiply bytes: VNNI, ARM's dot product); what ran is `report["precision"]`.
     `memory_mb` bounds the working memory of a tile (0: chosen), `tile` forces the tile's side in pixels (0: planned).
     `leave_out` says what is not computed where a frame does not need it: "all" (every exact one: "branches", "tiles",
     "inputs"), "none", or names with commas between; approximate and by name only: "converged" ("all,converged"), tiles
@@ -59,13 +60,15 @@ class Denoiser:
         *,
         provider: str = "cpu",
         threads: int = 0,
+        precision: str = "auto",
         memory_mb: int = 0,
         tile: int = 0,
         leave_out: str = "all",
     ) -> None:
         _point_to_onnxruntime()
         if not isinstance(model, _core.Model):
-            model = _core.Model(os.fspath(models.find(model)), provider=provider, threads=threads)
+            folder = os.fspath(models.find(model))
+            model = _core.Model(folder, provider=provider, threads=threads, precision=precision)
         self.model = model
         self._core = _core.Denoiser(self.model, memory_mb=memory_mb, tile=tile, leave_out=leave_out)
 
@@ -158,6 +161,7 @@ def denoise(
     color: Array | None = None,
     *,
     model: str | os.PathLike[str] | Denoiser | None = None,
+    precision: str = "auto",
     seconds: float | None = None,
     memory_mb: float | None = None,
     **buffers: Any,
@@ -166,19 +170,24 @@ def denoise(
 
     `model` is a name, a folder or a `Denoiser` (None: pathfold-balanced); everything else is what `Denoiser.run` takes:
     `albedo`, `normal`, `depth`, `diffuse`, `specular`, `diffuse_albedo`, `variance`, `samples`, `exposure`, ...
-    Loaded models are kept. With `seconds` or `memory_mb` a `pathfold.Budget` chooses among the shipped models, or how
-    to run the one that is named. Raises PathfoldError.
+    `precision` of its networks is "fp32", "int8" or "auto", see `Denoiser`. Loaded models are kept.
+    With `seconds` or `memory_mb` a `pathfold.Budget` chooses among the shipped models, or how to run the one that is
+    named. Raises PathfoldError.
     """
+    if isinstance(model, Denoiser) and precision not in ("auto", model.model.precision):
+        raise failure("invalid-argument", f"model is a Denoiser in {model.model.precision}; make one in {precision}")
     if seconds is not None or memory_mb is not None:
-        return _denoise_within(seconds, memory_mb, model, {"color": color, **buffers})
-    denoiser = model if isinstance(model, Denoiser) else _denoiser(models.find(model or models.DEFAULT).resolve())
-    return denoiser.run(color, **buffers).color
+        return _denoise_within(seconds, memory_mb, model, precision, {"color": color, **buffers})
+    if not isinstance(model, Denoiser):
+        model = _denoiser(models.find(model or models.DEFAULT).resolve(), precision)
+    return model.run(color, **buffers).color
 
 
 def _denoise_within(
     seconds: float | None,
     memory_mb: float | None,
     model: str | os.PathLike[str] | Denoiser | None,
+    precision: str,
     given: dict[str, Any],
 ) -> NDArray[np.float32]:
     from pathfold.budget import Budget
@@ -194,7 +203,7 @@ def _denoise_within(
     for name, pixels in arrays.items():
         if pixels.ndim == (3 if name.startswith("samples.") else 2):  # one channel may come without its axis
             arrays[name] = pixels[..., None]
-    budget = Budget(seconds, memory_mb, None if model is None else os.fspath(model))
+    budget = Budget(seconds, memory_mb, None if model is None else os.fspath(model), precision=precision)
     choice = budget.choose(arrays, samples_per_pixel=count)
     return choice.run(samples_per_pixel=count, **settings).color
 
@@ -208,8 +217,8 @@ def auto_exposure(color: Array) -> float:
 
 
 @lru_cache(maxsize=4)
-def _denoiser(folder: Path) -> Denoiser:
-    return Denoiser(folder)
+def _denoiser(folder: Path, precision: str) -> Denoiser:
+    return Denoiser(folder, precision=precision)
 
 
 def as_array(name: str, value: Array) -> NDArray[Any]:

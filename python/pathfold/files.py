@@ -89,6 +89,7 @@ def denoise_file(
     part = samples.find(file)
     notes = {
         "pathfold:model": done[0].result.report["model"],
+        "pathfold:precision": done[0].result.report["precision"],
         "pathfold:exposure": f"{done[0].result.report['exposure']:.7g}",
     }
     leave_out = [part] if part and not keep_samples else []

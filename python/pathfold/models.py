@@ -64,6 +64,11 @@ def manifest(name: str | os.PathLike[str]) -> dict[str, Any]:
     return loaded
 
 
+def precisions(name: str | os.PathLike[str]) -> list[str]:
+    """The precisions that a model can run in, "fp32" first."""
+    return ["fp32", *manifest(name).get("variants", {})]
+
+
 def inputs(name: str | os.PathLike[str]) -> set[str]:
     """All buffers that a model reads: those that it requires and those that it can use."""
     entry = manifest(name)

@@ -167,14 +167,15 @@ pathfold_status pathfold_find_model(const char *name, const char *const *folders
 }
 
 pathfold_status pathfold_model_load(const char *name, const char *provider, int threads,
-                                    pathfold_model **model) {
+                                    const char *precision, pathfold_model **model) {
     return guarded([&] {
         given(model, "model");
         if (threads < 0 || threads > 1024)
             fail(PATHFOLD_INVALID_ARGUMENT, "threads is ", threads,
                  "; it must be from 1 to 1024, or 0 for all");
-        const std::string chosen = provider != nullptr ? provider : "cpu";
-        *model = new pathfold_model{std::make_shared<const Model>(given_text(name, "name"), chosen, threads)};
+        *model = new pathfold_model{
+            std::make_shared<const Model>(given_text(name, "name"), provider != nullptr ? provider : "cpu",
+                                          threads, precision != nullptr ? precision : "auto")};
     });
 }
 
@@ -186,6 +187,10 @@ const char *pathfold_model_manifest(const pathfold_model *model) {
 
 const char *pathfold_model_folder(const pathfold_model *model) {
     return model != nullptr ? model->model->folder().c_str() : "";
+}
+
+const char *pathfold_model_precision(const pathfold_model *model) {
+    return model != nullptr ? model->model->precision().c_str() : "";
 }
 
 pathfold_status pathfold_denoiser_create(const pathfold_model *model, pathfold_denoiser **denoiser) {

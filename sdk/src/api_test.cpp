@@ -35,7 +35,7 @@ TEST(Api, StatusNames) {
 }
 
 TEST(Api, NullPointersAreNamed) {
-    EXPECT_EQ(pathfold_model_load(nullptr, nullptr, 0, nullptr), PATHFOLD_INVALID_ARGUMENT);
+    EXPECT_EQ(pathfold_model_load(nullptr, nullptr, 0, nullptr, nullptr), PATHFOLD_INVALID_ARGUMENT);
     EXPECT_STREQ(pathfold_last_error(), "model is a null pointer");
     pathfold_denoiser *denoiser = nullptr;
     EXPECT_EQ(pathfold_denoiser_create(nullptr, &denoiser), PATHFOLD_INVALID_ARGUMENT);
@@ -90,6 +90,19 @@ TEST(Api, TheWrapperDenoises) {
     EXPECT_NE(report.find("\"model\":\"single-3\""), std::string::npos);
     for (float value : result.values)
         EXPECT_GE(value, 0.0f);
+}
+
+TEST(Api, PrecisionIsChosenAtLoad) {
+    const std::string folder = model_folder("quantised-3");
+    EXPECT_EQ(Model(folder, "cpu", 1, "int8").precision(), "int8");
+    EXPECT_EQ(Model(folder, "cpu", 1, "fp32").precision(), "fp32");
+    pathfold_model *model = nullptr;
+    ASSERT_EQ(pathfold_model_load(folder.c_str(), nullptr, 1, nullptr, &model), PATHFOLD_OK);
+    EXPECT_EQ(pathfold_model_precision(model), Model(folder).precision()); // null is auto
+    pathfold_model_release(model);
+    EXPECT_STREQ(pathfold_model_precision(nullptr), "");
+    const auto load = [&] { Model(folder, "cpu", 1, "half"); };
+    EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, load).find("auto, fp32 or int8"), std::string::npos);
 }
 
 TEST(Api, ProgressAndCancel) {

@@ -50,13 +50,13 @@ struct Scene {
         return scene;
     }
 
-    Pixels &denoise(const std::string &model, int threads = 2) {
+    Pixels &denoise(const std::string &model, int threads = 2, const std::string &precision = "auto") {
         Frame frame;
         for (const auto &[name, pixels] : buffers) {
             const pathfold_image image = pixels.image();
             frame.set_input(name, &image);
         }
-        const auto loaded = std::make_shared<const Model>(model_folder(model), "cpu", threads);
+        const auto loaded = std::make_shared<const Model>(model_folder(model), "cpu", threads, precision);
         const auto output = [&](const std::string &name, int channels) {
             results.insert_or_assign(name, Pixels(height(), width(), channels, -7));
             return results.at(name).image();
@@ -137,6 +137,23 @@ TEST(Denoiser, ColorEqualsNaive) {
         EXPECT_EQ(scene.report["sanitised"]["non_finite"], 2);
         EXPECT_EQ(scene.report["sanitised"]["negative"], 1);
     }
+}
+
+TEST(Denoiser, EveryPrecisionEqualsItsGraph) {
+    Scene scene = Scene::color(20, 25);
+    std::map<std::string, std::vector<float>> inputs = {{"radiance", planar(scene.buffers.at("color"))},
+                                                        {"exposure", {0.5f}}};
+    std::map<std::string, Pixels> results;
+    for (auto [precision, graph] : {std::pair("fp32", "color"), {"int8", "color.int8"}}) {
+        const std::vector<float> logits = naive_logits("quantised-3", graph, 9, inputs, 20, 25);
+        const Pixels right = naive_gather(scene.buffers.at("color"), logits, 3);
+        expect_near(scene.denoise("quantised-3", 2, precision), right, 1e-5);
+        EXPECT_EQ(scene.report["precision"], precision);
+        results.emplace(precision, right);
+    }
+    EXPECT_NE(results.at("fp32").values, results.at("int8").values);
+    scene.denoise("quantised-3");
+    EXPECT_EQ(scene.report["precision"], is_faster_in_int8("cpu") ? "int8" : "fp32");
 }
 
 TEST(Denoiser, SplitEqualsNaive) {

@@ -7,6 +7,10 @@
 #include <mutex>
 
 #include <dlfcn.h>
+#if defined(__aarch64__) && defined(__linux__)
+#include <asm/hwcap.h>
+#include <sys/auxv.h>
+#endif
 #include <onnxruntime_c_api.h>
 
 #include "error.h"
@@ -198,6 +202,20 @@ void set_onnxruntime(const std::string &path) {
         fail(PATHFOLD_INVALID_ARGUMENT, "onnxruntime is loaded already from ", library_path,
              "; name another library before the first model is loaded");
     library_path = path;
+}
+
+bool is_faster_in_int8(const std::string &provider) {
+    if (lower(provider) != "cpu")
+        return false;
+#if defined(__x86_64__)
+    return __builtin_cpu_supports("avx512vnni") != 0 || __builtin_cpu_supports("avxvnni") != 0;
+#elif defined(__aarch64__) && defined(__linux__)
+    return (getauxval(AT_HWCAP) & HWCAP_ASIMDDP) != 0;
+#elif defined(__aarch64__) && defined(__APPLE__)
+    return true; // every one that macOS runs on
+#else
+    return false;
+#endif
 }
 
 struct Session::Handles {

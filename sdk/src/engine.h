@@ -25,6 +25,12 @@ struct Port {
 /// Names the onnxruntime library to load; see pathfold_set_onnxruntime.
 void set_onnxruntime(const std::string &path);
 
+/// Whether quantised networks run faster there than float32 ones. Told by the processor's instructions, not
+/// by a trial, so that every run on it gives the same picture. Measured by benchmarks/int8.py on x86 with
+/// VNNI; without, onnxruntime adds products of bytes in 16 bits, which saturate. ARM's dot products: not
+/// measured.
+bool is_faster_in_int8(const std::string &provider);
+
 /// A network made ready to run, by onnxruntime loaded at run time. Immutable: threads may share it.
 class Session {
 public:

@@ -22,6 +22,7 @@ constexpr int max_depth = 32;
 constexpr int format_version = 1;
 constexpr int max_kernel = 63;
 constexpr int64_t max_embedding = 64; // their sums are held for the whole frame
+constexpr double max_error = 1.02;    // of a variant's RelL2 over that of the graphs that it stands in for
 
 /// A JSON value with the path that leads to it, so that every complaint names its key.
 class Field {
@@ -188,10 +189,7 @@ std::vector<std::string> read_buffers(const Field &field) {
     return names;
 }
 
-/// `channels` of what the graph "embedding" gives, 0 where there is none.
-Graph read_graph(const Field &field, const std::map<std::string, Shape> &outputs, int64_t channels) {
-    field.keys({"file", "sha256", "inputs", "outputs"});
-    Graph graph;
+void read_file(const Field &field, Graph &graph) {
     const Field file = field.at("file"), hash = field.at("sha256");
     graph.file = file.string();
     if (graph.file.empty() || graph.file[0] == '.' || graph.file.find_first_of("/\\:") != std::string::npos)
@@ -200,6 +198,13 @@ Graph read_graph(const Field &field, const std::map<std::string, Shape> &outputs
     const auto is_digit = [](unsigned char c) { return std::isdigit(c) || (c >= 'a' && c <= 'f'); };
     if (graph.sha256.size() != 64 || !std::all_of(graph.sha256.begin(), graph.sha256.end(), is_digit))
         hash.wrong("64 lower-case hexadecimal digits");
+}
+
+/// `channels` of what the graph "embedding" gives, 0 where there is none.
+Graph read_graph(const Field &field, const std::map<std::string, Shape> &outputs, int64_t channels) {
+    field.keys({"file", "sha256", "inputs", "outputs"});
+    Graph graph;
+    read_file(field, graph);
     for (const auto &[name, input] : field.at("inputs").members()) {
         const bool embedded = name == "embedding" && channels > 0;
         const Shape right = embedded ? embedding_shape(channels) : input_shape(name);
@@ -258,6 +263,22 @@ void read_graphs(const Field &field, Manifest &manifest) {
     if (!read)
         fail(PATHFOLD_INVALID_MODEL,
              "manifest.json: there is graphs.embedding, but no graph has the input embedding");
+}
+
+void read_variants(const Field &field, Manifest &manifest) {
+    field.keys({"int8"});
+    for (const auto &[precision, variant] : field.members()) {
+        variant.keys({"rell2_over_fp32", "graphs"});
+        variant.at("rell2_over_fp32").number(0, max_error);
+        for (const auto &[name, item] : variant.at("graphs").members()) {
+            const auto original = manifest.graphs.find(name);
+            if (original == manifest.graphs.end())
+                fail(PATHFOLD_INVALID_MODEL, "manifest.json: variants.", precision, " has the graph ", name,
+                     ", which is not among graphs");
+            Graph &graph = manifest.variants[precision][name] = original->second;
+            read_file(item.keys({"file", "sha256"}), graph);
+        }
+    }
 }
 
 Branch read_branch(const Field &field) {
@@ -404,7 +425,7 @@ Manifest Manifest::parse(const std::string &text) {
         fail(PATHFOLD_UNSUPPORTED, "manifest.json has format ", format, "; this pathfold reads format ",
              format_version, ": take a newer pathfold or a model exported for this one");
     root.keys({"format", "name", "description", "license", "requires", "uses", "graphs", "reconstruction",
-               "exposure", "tile", "samples_per_pixel", "precision", "training"});
+               "exposure", "tile", "samples_per_pixel", "precision", "variants", "training"});
     Manifest manifest;
     manifest.text = text;
     manifest.name = root.at("name").string();
@@ -433,7 +454,9 @@ Manifest Manifest::parse(const std::string &text) {
     manifest.max_samples = samples.at("max").integer(manifest.min_samples, 1 << 30);
     if (samples.has("without_paths"))
         manifest.without_paths = samples.at("without_paths").integer(1, 1 << 30);
-    manifest.precision = root.at("precision").string();
+    root.at("precision").one_of({"fp32"});
+    if (root.has("variants"))
+        read_variants(root.at("variants"), manifest);
     check_references(manifest);
     return manifest;
 }

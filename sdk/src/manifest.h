@@ -24,6 +24,9 @@ struct Graph {
     std::map<std::string, Shape> inputs, outputs;
 };
 
+/// Graphs that stand in for those of the same name, with the same inputs and outputs.
+using Variant = std::map<std::string, Graph>;
+
 /// One set of kernels and the radiance that it filters.
 struct Branch {
     std::string name, graph;
@@ -36,10 +39,11 @@ struct Branch {
 
 /// A model folder's manifest.json, validated. `text` is the file as it stands.
 struct Manifest {
-    std::string name, description, license, precision, text;
+    std::string name, description, license, text;
     std::vector<std::string> requires_, uses;
-    std::map<std::string, Graph> graphs; ///< of branches, and "embedding" where there is one
-    int64_t embedding_channels = 0;      ///< of what that graph makes of samples; 0: there is none
+    std::map<std::string, Graph> graphs;     ///< of branches, and "embedding" where there is one; float32
+    std::map<std::string, Variant> variants; ///< by their precision, which is "int8"
+    int64_t embedding_channels = 0;          ///< of what that graph makes of samples; 0: there is none
     int kernel_size = 0;
     bool pyramid = false; ///< kernels on five levels instead of one, see pyramid.h
     bool trust = false;   ///< whether networks predict a shift per pixel too, after the kernels' logits

@@ -37,6 +37,21 @@ TEST(Manifest, IsRead) {
     EXPECT_EQ(shape_text(manifest.graphs.at("diffuse").inputs.at("radiance")), "[1, 3, H, W]");
 }
 
+TEST(Manifest, Variants) {
+    const Json file = {{"file", "diffuse.int8.onnx"}, {"sha256", std::string(64, '0')}};
+    const Json int8 = {{"rell2_over_fp32", 1.01}, {"graphs", {{"diffuse", file}}}};
+    const Manifest manifest = Manifest::parse(with("/variants", {{"int8", int8}}));
+    const Graph &graph = manifest.variants.at("int8").at("diffuse");
+    EXPECT_EQ(graph.file, "diffuse.int8.onnx");
+    EXPECT_EQ(graph.outputs.size(), manifest.graphs.at("diffuse").outputs.size());
+    EXPECT_TRUE(Manifest::parse(good().dump()).variants.empty());
+    expect_wrong(with("/variants", {{"int4", int8}}), "variants.int4", "int8");
+    expect_wrong(with("/variants/int8", {{"rell2_over_fp32", 1.021}, {"graphs", {{"diffuse", file}}}}),
+                 "variants.int8.rell2_over_fp32", "0 to 1.02");
+    expect_wrong(with("/variants/int8", {{"rell2_over_fp32", 1}, {"graphs", {{"other", file}}}}), "other",
+                 "not among graphs");
+}
+
 TEST(Manifest, AnEmbeddingSeesSamplesAndIsReadAsWideAsItIs) {
     const Json sums = {1, 5, "H/2", "W/2"};
     Json json = good();

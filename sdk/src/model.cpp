@@ -90,6 +90,21 @@ Session load_graph(const fs::path &folder, const Graph &graph, const std::string
     return session;
 }
 
+/// What "auto" stands for, and whether the model has what was asked for.
+std::string choose_precision(const std::string &asked, const Manifest &manifest,
+                             const std::string &provider) {
+    const bool has_int8 = manifest.variants.count("int8") > 0;
+    if (asked == "auto")
+        return has_int8 && is_faster_in_int8(provider) ? "int8" : "fp32";
+    if (asked == "int8" && !has_int8)
+        fail(PATHFOLD_UNSUPPORTED, "the model ", manifest.name,
+             " has no int8 variant; give precision fp32 or auto, or export it anew with a data set to "
+             "calibrate on (pathfold-train export --data)");
+    if (asked != "int8" && asked != "fp32")
+        fail(PATHFOLD_INVALID_ARGUMENT, "precision is \"", asked, "\"; it must be auto, fp32 or int8");
+    return asked;
+}
+
 /// share/pathfold/models beside the lib folder that this library is in; empty where that is unknown.
 std::string installed_models() {
     Dl_info info{};
@@ -137,12 +152,15 @@ std::string find_model(const std::string &name, const std::vector<std::string> &
          " (looked in ", list(places), "); give one of these, a model folder, or set PATHFOLD_MODEL_PATH");
 }
 
-Model::Model(const std::string &name, const std::string &provider, int threads)
+Model::Model(const std::string &name, const std::string &provider, int threads, const std::string &precision)
     : folder_(find_model(name, {})), provider_(provider),
       threads_(threads > 0 ? threads : std::max(1, int(std::thread::hardware_concurrency()))),
-      manifest_(Manifest::parse(read_file(fs::path(folder_) / "manifest.json"))) {
+      manifest_(Manifest::parse(read_file(fs::path(folder_) / "manifest.json"))),
+      precision_(choose_precision(precision, manifest_, provider_)) {
+    const Variant own = precision_ == "fp32" ? Variant() : manifest_.variants.at(precision_);
     for (const auto &[key, graph] : manifest_.graphs)
-        sessions_.emplace(key, load_graph(folder_, graph, provider_, threads_));
+        sessions_.emplace(key,
+                          load_graph(folder_, own.count(key) > 0 ? own.at(key) : graph, provider_, threads_));
 }
 
 } // namespace pathfold::core

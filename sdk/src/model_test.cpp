@@ -32,6 +32,35 @@ TEST(Model, Loads) {
     EXPECT_EQ(model.session(model.manifest().branches[0].graph).outputs().size(), 1u);
 }
 
+TEST(Model, Precisions) {
+    const auto load = [](const char *model, const char *precision) {
+        return Model(model_folder(model), "cpu", 1, precision).precision();
+    };
+    EXPECT_EQ(load("quantised-3", "fp32"), "fp32");
+    EXPECT_EQ(load("quantised-3", "int8"), "int8");
+    EXPECT_EQ(load("quantised-3", "auto"), is_faster_in_int8("CPU") ? "int8" : "fp32");
+    EXPECT_EQ(load("single-3", "auto"), "fp32");
+    EXPECT_FALSE(is_faster_in_int8("cuda"));
+    expect_error(
+        PATHFOLD_UNSUPPORTED, [&] { load("single-3", "int8"); }, "single-3", "no int8", "fp32 or auto");
+    expect_error(
+        PATHFOLD_INVALID_ARGUMENT, [&] { load("quantised-3", "int4"); }, "int4", "auto, fp32 or int8");
+}
+
+TEST(Model, AVariantIsCheckedLikeTheGraphThatItStandsInFor) {
+    const SpoiltModel model("quantised-3");
+    const auto load = [&](const char *precision) { Model(model.path(), "cpu", 1, precision); };
+    const std::string bytes = read_text(model_folder("single-21") + "/color.onnx");
+    model.write("color.int8.onnx", bytes);
+    expect_error(PATHFOLD_INVALID_MODEL, [&] { load("int8"); }, "color.int8.onnx", "sha256");
+    load("fp32"); // does not look at it
+    auto manifest = nlohmann::json::parse(model.read("manifest.json"));
+    manifest["variants"]["int8"]["graphs"]["color"]["sha256"] = sha256(bytes.data(), bytes.size());
+    model.write("manifest.json", manifest.dump());
+    expect_error(
+        PATHFOLD_INVALID_MODEL, [&] { load("int8"); }, "manifest lies about its graph", "color.int8.onnx");
+}
+
 TEST(Model, IsFoundByName) {
     EXPECT_EQ(find_model("single-3", {TEST_MODELS}), model_folder("single-3"));
     EXPECT_EQ(find_model(model_folder("single-3"), {}), model_folder("single-3"));

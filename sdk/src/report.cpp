@@ -40,6 +40,7 @@ std::string Report::json(const Frame &frame, const Model &model, const Prepared 
     const Manifest &manifest = model.manifest();
     const Json report = {
         {"model", manifest.name},
+        {"precision", model.precision()},
         {"provider", model.provider()},
         {"threads", model.threads()},
         {"width", frame.width()},

@@ -30,8 +30,11 @@ BUFFERS: dict[str, Shape] = {
 }
 
 
-def make_graph(inputs: list[str], taps: int, seed: int, spread: float = 1.0) -> onnx.ModelProto:
-    """logits = 3x3 convolution of log(1 + exposure * radiance), every other image squashed, and sample means."""
+def make_graph(inputs: list[str], taps: int, seed: int, spread: float = 1.0, int8: bool = False) -> onnx.ModelProto:
+    """logits = 3x3 convolution of log(1 + exposure * radiance), every other image squashed, and sample means.
+
+    With `int8` both sides of the convolution are rounded to 8 bits.
+    """
     rng = np.random.default_rng(seed)
     nodes, initializers, features, width = [], [], [], 0
 
@@ -58,8 +61,20 @@ def make_graph(inputs: list[str], taps: int, seed: int, spread: float = 1.0) -> 
         width += int(shape[1])
     nodes.append(helper.make_node("Concat", features, ["features"], axis=1))
     weights = rng.normal(0, spread / np.sqrt(9 * width), (taps, width, 3, 3)).astype(np.float32)
-    constant("weights", weights)
-    nodes.append(helper.make_node("Conv", ["features", "weights"], ["plain"], pads=[1, 1, 1, 1]))
+    convolved = ["features", constant("weights", weights)]
+    if int8:
+        scales = np.abs(weights).max((1, 2, 3)) / np.float32(127)
+        constant("weights:bytes", np.rint(weights / scales[:, None, None, None]).astype(np.int8))
+        constant("weights:scales", scales)
+        constant("weights:zeros", np.zeros(taps, np.int8))
+        step = [constant("step", np.float32(4 / 255)), constant("zero", np.uint8(0))]  # features to 4
+        rounded = ["features:bytes", "features:rounded", "weights:rounded"]
+        nodes.append(helper.make_node("QuantizeLinear", ["features", *step], rounded[:1]))
+        nodes.append(helper.make_node("DequantizeLinear", [rounded[0], *step], rounded[1:2]))
+        of_weights = [f"weights:{part}" for part in ("bytes", "scales", "zeros")]
+        nodes.append(helper.make_node("DequantizeLinear", of_weights, rounded[2:], axis=0))
+        convolved = rounded[1:]
+    nodes.append(helper.make_node("Conv", convolved, ["plain"], pads=[1, 1, 1, 1]))
     last = "plain"
     for name in inputs:  # scalars shift the logits of some taps, so that they matter
         if len(BUFFERS[name]) > 1 or name == "exposure":
@@ -148,6 +163,17 @@ def make_split(folder: Path, size: int, samples: bool) -> None:
     write_model(folder, graphs, branches, size, requires, uses)
 
 
+def make_quantised(folder: Path, size: int) -> None:
+    """make_single with its graph in int8, too."""
+    make_single(folder, size)
+    data = make_graph(["radiance", "exposure"], size * size, seed=size, int8=True).SerializeToString()
+    (folder / "color.int8.onnx").write_bytes(data)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    graph = {"file": "color.int8.onnx", "sha256": hashlib.sha256(data).hexdigest()}
+    manifest["variants"] = {"int8": {"rell2_over_fp32": 1.005, "graphs": {"color": graph}}}
+    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2))
+
+
 def make_hostile(folder: Path) -> None:
     """Graphs that must be refused before an engine sees them."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -186,6 +212,7 @@ def main(root: Path) -> None:
     make_single(root / "trust-5", 5, spread=3.0, trust=True)
     make_single(root / "steep-5", 5, spread=1e5)
     make_single(root / "broken-3", 3, spread=np.inf)  # all logits are NaN
+    make_quantised(root / "quantised-3", 3)
     make_split(root / "split-5", 5, samples=False)
     make_split(root / "samples-5", 5, samples=True)
 

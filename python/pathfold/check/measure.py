@@ -13,12 +13,15 @@ _TABLE = tomllib.loads((Path(__file__).parent / "tolerances.toml").read_text(enc
 SMALLEST = float(np.finfo(np.float32).tiny)  # below it float32 has no seven digits
 
 
-def tolerance(name: str) -> float:
-    """A value of tolerances.toml, "chain.fp32" or "tiles". Raises KeyError where the table has none."""
+def tolerance(name: str, precision: str = "fp32") -> float:
+    """A value of tolerances.toml, "chain.fp32" or "tiles"; of "tiles" in int8 that of "tiles.int8" where there is one.
+
+    Raises KeyError where the table has none.
+    """
     entry: Any = _TABLE
     for key in name.split("."):
         entry = entry[key]
-    return float(entry["value"])
+    return float(entry.get(precision, entry)["value"])
 
 
 def relative_error(
@@ -37,3 +40,14 @@ def relative_error(
     error = np.where(np.isfinite(error), error, np.inf).max(-1)
     worst = np.unravel_index(int(error.argmax()), error.shape)
     return float(error[worst]), None if error[worst] == 0 else (int(worst[0]), int(worst[1]))
+
+
+def drift(image: NDArray[Any], reference: NDArray[Any]) -> float:
+    """The mean relative difference of two images' values, each to the larger of both: from 0 to 2, dark or bright.
+
+    Infinite where a value is not finite.
+    """
+    one, other = image.astype(np.float64), reference.astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        difference = np.abs(one - other) / np.maximum(np.maximum(np.abs(one), np.abs(other)), SMALLEST)
+    return float(difference.mean()) if np.isfinite(difference).all() else np.inf

@@ -29,14 +29,19 @@ class Subject:
     """The model that is checked."""
 
     folder: Path
-    provider: str
+    provider: str = "cpu"
+    precision: str = "fp32"
 
     def denoiser(self, **settings: Any) -> Denoiser:
-        return Denoiser(self.folder, provider=self.provider, **settings)
+        return Denoiser(self.folder, **{"provider": self.provider, "precision": self.precision} | settings)
 
     @cached_property
     def default(self) -> Denoiser:
         return self.denoiser()
+
+    @cached_property
+    def exact(self) -> Denoiser:
+        return self.denoiser(precision="fp32")
 
     @cached_property
     def manifest(self) -> dict[str, Any]:
@@ -57,7 +62,8 @@ class Property:
     needs: str = "color"  # a buffer that a model must read for the property to say anything
 
     def row(self, subject: Subject) -> Row:
-        row = Row(self.name, self.stresses, allowed=tolerance(self.tolerance) if self.tolerance else 0.0)
+        allowed = tolerance(self.tolerance, subject.precision) if self.tolerance else 0.0
+        row = Row(self.name, self.stresses, allowed=allowed)
         self.check(subject, row)
         return row.judged()
 

@@ -11,7 +11,7 @@ from typing import Any
 from pathfold import models
 from pathfold.check import references
 from pathfold.check.cases import CASES, Case
-from pathfold.check.measure import tolerance
+from pathfold.check.measure import drift, tolerance
 from pathfold.check.outcome import Row
 from pathfold.check.prepare import Prepared, prepare, reads
 from pathfold.check.properties import PROPERTIES, Property, Subject
@@ -28,7 +28,7 @@ class Report:
     model: str
     folder: str
     precision: str
-    note: str = ""  # where the model has no references
+    note: str = ""  # what errors are, where they are not those against references
     rows: list[Row] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)  # they stress what the model does not read
 
@@ -42,18 +42,23 @@ class Report:
 
 
 def check_model(
-    model: str | os.PathLike[str], provider: str = "cpu", progress: Callable[[float], None] = lambda done: None
+    model: str | os.PathLike[str],
+    provider: str = "cpu",
+    precision: str = "fp32",
+    progress: Callable[[float], None] = lambda done: None,
 ) -> Report:
-    """Run every case and property that concerns a model. Raises PathfoldError where it cannot be loaded."""
-    subject = Subject(models.find(model), provider)
+    """Run every case and property that concerns a model. Raises PathfoldError where it cannot be loaded so."""
+    subject = Subject(models.find(model), provider, precision)
     manifest = subject.manifest
-    report = Report(manifest["name"], str(subject.folder), manifest["precision"])
+    report = Report(manifest["name"], str(subject.folder), precision)
+    known = None
     try:
-        known = references.read(subject.folder, manifest)
+        known = references.read(subject.folder, manifest) if precision == "fp32" else None
     except ReferencesError as error:
-        known = None
         report.rows.append(Row("references", "float64 results in the model folder", reason=str(error)))
-    if known is None:
+    if precision != "fp32":
+        report.note = "the error of a frame is the mean relative difference of its values to those in fp32"
+    elif known is None:
         report.note = f"no usable {references.FILE}: errors are not measured; `pathfold-train export` writes one"
     entries: list[Case | Property] = [*CASES, *PROPERTIES]
     for number, entry in enumerate(entries, start=1):
@@ -68,21 +73,24 @@ def check_model(
 
 
 def case_row(subject: Subject, case: Case, known: References | None) -> Row:
-    """One frame through the SDK, compared with its reference where there is one."""
+    """One frame through the SDK, in fp32 compared with its reference where there is one, else with fp32."""
     row, buffers = Row(case.name, case.stresses), case.make()
     frame = prepare(buffers, subject.manifest)
     result = subject.default.run_buffers(buffers)
     row.inspect(result, frame, subject.manifest)
     compare_statistics(row, result.report, frame)
-    if known is None:
-        return row.judged()
-    if known.frames.get(case.name) != references.frame_hash(buffers) or case.name not in known.images:
+    if subject.precision != "fp32":
+        row.error = drift(result.color, subject.exact.run_buffers(buffers).color)
+        row.allowed = tolerance(f"chain.{subject.precision}")
+    elif known is None:
+        pass
+    elif known.frames.get(case.name) != references.frame_hash(buffers) or case.name not in known.images:
         row.fail("has no reference for this frame: export the model again")
     elif (image := known.images[case.name]).shape != result.color.shape:
         row.fail(f"its reference has the shape {image.shape}: export the model again")
     else:
         beyond = min(max(known.logits[case.name] / WHOLE_CHAIN_LOGIT, 1.0), MOST_BEYOND)
-        row.allowed = tolerance(f"chain.{subject.manifest['precision']}") * beyond
+        row.allowed = tolerance("chain.fp32") * beyond
         row.compare(result.color, image, max(float(branch.radiance.max()) for branch in frame.branches))
     return row.judged()
 

@@ -31,16 +31,19 @@ def check(
 ) -> None:
     """Run stiff and extreme frames through models: against float64 references, and as properties.
 
+    A model with an int8 variant is run in both: in int8 frames are compared with fp32.
+
     Exit code 0 if everything passes, else 1.
     """
     from pathfold import check, models, version
 
     reports = []
     for name in model or list(models.available()):
-        with console.progress(name) as bar:
-            reports.append(check.check_model(name, provider, bar))
-        if not as_json:
-            say(reports[-1])
+        for precision in models.precisions(name):
+            with console.progress(f"{name}, {precision}") as bar:
+                reports.append(check.check_model(name, provider, precision, bar))
+            if not as_json:
+                say(reports[-1])
     passed = all(report.passed for report in reports)
     if as_json:
         records = [report.record() for report in reports]
@@ -62,7 +65,7 @@ def say(report: "Report") -> None:
     terminal.print(table(report))
     failed = sum(bool(row.reason) for row in report.rows)
     total = len(report.rows)
-    console.say(f"{report.model}: {f'{failed} of {total} fail' if failed else f'all {total} pass'}")
+    console.say(f"{report.model}, {report.precision}: {f'{failed} of {total} fail' if failed else f'all {total} pass'}")
     if report.note:
         console.say(f"  {report.note}")
     if report.skipped:
@@ -73,7 +76,7 @@ def table(report: "Report") -> "Table":
     """A rich table, a row for each case and property."""
     from rich.table import Table
 
-    made = Table(title=plain(report.model), title_justify="left")
+    made = Table(title=plain(f"{report.model}, {report.precision}"), title_justify="left")
     made.add_column("case", no_wrap=True)
     made.add_column(f"relative\nerror, {report.precision}", justify="right", no_wrap=True)
     made.add_column("worst\npixel", justify="right", no_wrap=True)

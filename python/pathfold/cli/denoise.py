@@ -37,6 +37,9 @@ def denoise(
     ] = None,
     provider: Annotated[str, typer.Option(help="The onnxruntime execution provider.")] = "cpu",
     threads: Annotated[int, typer.Option(min=0, help="Threads; 0: all cores.")] = 0,
+    precision: Annotated[
+        str, typer.Option(metavar="auto|fp32|int8", help="Of the model's networks; auto: the faster one here.")
+    ] = "auto",
     seconds: Annotated[
         float | None, typer.Option("--seconds", metavar="T", help="Choose model, paths and tiles to be done in T.")
     ] = None,
@@ -67,11 +70,12 @@ def denoise(
 
     for _, clean in pairs:
         check_output(clean)
+    options: dict[str, Any] = {"provider": provider, "threads": threads, "precision": precision, "leave_out": leave_out}
     denoiser: Denoiser | Budget
     if seconds is None and memory is None:
-        denoiser = Denoiser(model or models.DEFAULT, provider=provider, threads=threads, leave_out=leave_out)
+        denoiser = Denoiser(model or models.DEFAULT, **options)
     else:
-        denoiser = Budget(seconds, memory, model, provider=provider, threads=threads, leave_out=leave_out)
+        denoiser = Budget(seconds, memory, model, **options)
     exposures = [] if exposure is None else [exposure]
     for number, (noisy, clean) in enumerate(pairs):
         title = noisy.name if len(pairs) == 1 else f"{noisy.name} ({number + 1}/{len(pairs)})"
@@ -141,7 +145,7 @@ def frame_lines(path: Path, frame: "Frame") -> Iterator[str]:
 def result_lines(report: dict[str, Any]) -> Iterator[str]:
     """What a run used, mended, left out and took."""
     inputs = report["inputs"]
-    yield f"  {report['model']} read {', '.join(inputs['used'])}"
+    yield f"  {report['model']}, precision {report['precision']}, read {', '.join(inputs['used'])}"
     if inputs["missing"]:
         yield f"  not there: {', '.join(inputs['missing'])}"
     if mended := {what: count for what, count in report["sanitised"].items() if count}:

@@ -54,10 +54,18 @@ def model(name: str) -> Iterator[str]:
     yield f"  requires      {', '.join(entry['requires'])}"
     yield f"  can use       {', '.join(entry.get('uses', ()))}"
     yield f"  filters with  {reconstruction(entry['reconstruction'])}"
-    yield f"  precision     {entry.get('precision', '')}, tile overlap {entry['tile']['overlap']} px"
+    yield f"  precision     {precision(entry)}; runs in {loaded.precision} here unless told otherwise"
+    yield f"  tile overlap  {entry['tile']['overlap']} px"
     yield f"  licence       {entry.get('license', '')}"
     for key, value in entry.get("training", {}).items():
         yield f"  training.{key:12} {value if isinstance(value, str | int | float) else json.dumps(value)}"
+
+
+def precision(entry: dict[str, Any]) -> str:
+    """The model's own, and the variants with their error."""
+    variants = entry.get("variants", {})
+    errors = (f", {name} (RelL2 {block['rell2_over_fp32']:.4g} of fp32's)" for name, block in variants.items())
+    return "".join([entry["precision"], *errors])
 
 
 def reconstruction(block: dict[str, Any]) -> str:

@@ -85,7 +85,7 @@ def render(
         "pathfold:max_depth": max_depth,
         "pathfold:render_seconds": seconds,
         **({ALL_LIGHT: all_light} if all_light else {}),
-        **({"pathfold:model": denoiser.model.name} if denoiser else {}),
+        **({"pathfold:model": denoiser.model.name, "pathfold:precision": denoiser.model.precision} if denoiser else {}),
     }
     write(output, buffers, samples, metadata)
     if not quiet:

@@ -16,6 +16,7 @@ from pathfold.denoising import failure
 from pathfold.report import peers
 
 NOISY = "noisy"
+PRECISIONS = ("fp32", "int8")  # what a model's name may end in, with a colon before it; without it: the default
 PEERS = {"oidn": peers.oidn, "oidn-fast": peers.oidn_fast, "oidn-prefiltered": peers.oidn_prefiltered}
 COMPARED = (NOISY, "oidn", "oidn-prefiltered")  # with models, where nobody says otherwise
 
@@ -40,26 +41,34 @@ class Candidate:
 
 
 def find(argument: str) -> Candidate:
-    """`noisy`, `oidn`, `oidn-fast`, `oidn-prefiltered`, or a model's name or folder.
+    """`noisy`, `oidn`, `oidn-fast`, `oidn-prefiltered`, or a model's name or folder, with `:fp32` or `:int8` behind it.
 
-    Raises PathfoldError ("not-found") that says what there is.
+    Raises PathfoldError ("not-found") that says what there is, ("unsupported") where a model has no such precision.
     """
     if argument == NOISY:
         return Candidate(NOISY, argument, frozenset({"color"}), "", lambda: lambda buffers, _: buffers["color"])
     if argument in PEERS:
         return _peer(argument)
+    name, colon, precision = argument.rpartition(":")
+    if not colon or precision not in PRECISIONS:
+        name, colon, precision = argument, "", "auto"
     try:
-        folder = models.find(argument)
+        folder = models.find(name)
     except Exception as error:
         others = ", ".join((NOISY, *PEERS))
         raise failure("not-found", f"{error}; besides models there are {others}") from error
+    if colon and precision not in (known := models.precisions(folder)):
+        raise failure("unsupported", f"{argument}: the model has no {precision}, only {', '.join(known)}")
     reads = frozenset({"color", *models.inputs(folder)})
-    return Candidate(folder.name, argument, reads, fingerprint(models.manifest(folder)), lambda: _model(folder))
+    title, identity = folder.name + (colon and f":{precision}"), fingerprint(models.manifest(folder), precision)
+    return Candidate(title, argument, reads, identity, lambda: _model(folder, precision))
 
 
-def fingerprint(manifest: dict[str, Any]) -> str:
+def fingerprint(manifest: dict[str, Any], precision: str = "auto") -> str:
     """Of what a model's results depend on: its graphs, by their hashes, and what is done with what they say."""
     parts = {name: manifest.get(name) for name in ("requires", "uses", "graphs", "reconstruction", "exposure", "tile")}
+    if precision != "fp32" and "variants" in manifest:
+        parts["variants"] = manifest["variants"]
     return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -91,8 +100,8 @@ def _peer(name: str) -> Candidate:
     return Candidate(name, name, frozenset({"color", "albedo", "normal"}), identity, load)
 
 
-def _model(folder: Path) -> Run:
+def _model(folder: Path, precision: str) -> Run:
     from pathfold.denoising import Denoiser
 
-    denoiser = Denoiser(folder)
+    denoiser = Denoiser(folder, precision=precision)
     return lambda buffers, exposure: denoiser.run_buffers(buffers, exposure=exposure).color

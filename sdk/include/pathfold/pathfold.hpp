@@ -64,15 +64,18 @@ inline Image samples(const float *data, int64_t count, int64_t height, int64_t w
 /// A model folder, checked and loaded. Immutable; copies share it, on any number of threads.
 class Model {
 public:
-    /// `name`: a folder or the name of a model; `provider`: "cpu", "cuda", ...; `threads`: 0 for all.
-    explicit Model(const std::string &name, const std::string &provider = "cpu", int threads = 0) {
+    /// `name`: a folder or the name of a model; `provider`: "cpu", "cuda", ...; `threads`: 0 for all;
+    /// `precision`: "fp32", "int8" or "auto", the faster one. See pathfold_model_load.
+    explicit Model(const std::string &name, const std::string &provider = "cpu", int threads = 0,
+                   const std::string &precision = "auto") {
         pathfold_model *model = nullptr;
-        check(pathfold_model_load(name.c_str(), provider.c_str(), threads, &model));
+        check(pathfold_model_load(name.c_str(), provider.c_str(), threads, precision.c_str(), &model));
         model_.reset(model, pathfold_model_release);
     }
 
     std::string manifest() const { return pathfold_model_manifest(model_.get()); } ///< JSON
     std::string folder() const { return pathfold_model_folder(model_.get()); }
+    std::string precision() const { return pathfold_model_precision(model_.get()); } ///< "fp32" or "int8"
     pathfold_model *get() const { return model_.get(); }
 
 private:
