@@ -1,20 +1,24 @@
 """A pathfold checkpoint becomes a model folder; torch and the SDK agree on it, tiles and layers included."""
 
 import copy
+import hashlib
 import json
 import shutil
 from pathlib import Path
 
 import numpy as np
+import onnx
+import onnxruntime
 import pytest
 import torch
-from pathfold.check.measure import relative_error, tolerance
+from pathfold.check.measure import drift, relative_error, tolerance
 from pathfold.denoising import Denoiser
-from pathfold_training import needs
+from pathfold_training import needs, quantise
 from pathfold_training.config import Config, Data, Optimiser, Pyramid
 from pathfold_training.data import Batch, Stored, ValidationViews
 from pathfold_training.export import export, load_task
 from pathfold_training.fit import fit, folder_weights
+from pathfold_training.halves import narrow, round_weights, widen
 from pathfold_training.networks.pathfold import OPTIONAL, PIXEL_CHANNELS
 from pathfold_training.task import Denoising
 from training_data import write_data_set
@@ -197,6 +201,85 @@ def test_manifest_says_what_is_optional(exported: tuple[Path, Denoising]) -> Non
     assert {"albedo", "samples.descriptor"} <= set(manifest["uses"])
     assert manifest["tile"]["alignment"] == 16
     assert "gather pyramid" in (folder / "README.md").read_text()
+
+
+def test_weights_are_stored_as_halves_and_compute_the_same(exported: tuple[Path, Denoising]) -> None:
+    stored = onnx.load(exported[0] / "network.onnx")
+    halves = {t.name for t in stored.graph.initializer if t.data_type == onnx.TensorProto.FLOAT16}
+    convolutions = sum(node.op_type == "Conv" for node in stored.graph.node)
+    assert len(halves) == convolutions > 11
+    wide = copy.deepcopy(stored)
+    widen(wide)
+    assert not any(node.op_type == "Cast" and node.input[0] in halves for node in wide.graph.node)
+    sessions = [onnxruntime.InferenceSession(model.SerializeToString()) for model in (stored, wide)]
+    rng = np.random.default_rng(9)
+    feeds = {}
+    for port in sessions[0].get_inputs():
+        sizes = [size if isinstance(size, int) else {"H": 48, "W": 64}.get(size, 24) for size in port.shape]
+        feeds[port.name] = rng.random(sizes, np.float32)
+    feeds["embedding"] = rng.random((1, 9, 24, 32), np.float32)
+    for one, other in zip(*(session.run(None, feeds) for session in sessions), strict=True):
+        np.testing.assert_array_equal(one, other)
+    narrow(wide)
+    assert wide.graph == stored.graph
+
+
+def test_what_a_half_cannot_hold_is_kept(exported: tuple[Path, Denoising]) -> None:
+    model = copy.deepcopy(exported[1].model)
+    weights = dict(model.named_parameters())
+    for name, value in (("down.0.0.weight", 7e4), ("up.0.0.weight", 1 / 3), ("up.0.0.bias", 1 / 3)):
+        weights[name].data[:] = value
+    round_weights(model)
+    kept = {name: float(value.detach().flatten()[0]) for name, value in weights.items()}
+    assert kept["down.0.0.weight"] == 7e4 and kept["up.0.0.bias"] == np.float32(1 / 3)
+    assert kept["up.0.0.weight"] == np.float16(1 / 3)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Stored:
+    return Stored(write_data_set(tmp_path_factory.mktemp("calibration") / "data"))
+
+
+def test_int8_is_written_with_its_measured_error(
+    exported: tuple[Path, Denoising], data: Stored, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(exported[0], tmp_path / "model")
+    said = quantise.add_int8(folder, data)
+    assert said.startswith("int8: RelL2 ")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (block,) = manifest["variants"].values()
+    assert 0.9 < block["rell2_over_fp32"] <= 1.02 and block["rell2_over_fp32"] != 1
+    graph = block["graphs"]["network"]
+    assert hashlib.sha256((folder / graph["file"]).read_bytes()).hexdigest() == graph["sha256"]
+    assert "int8 with" in (folder / "README.md").read_text()
+    quantised = onnx.load(folder / graph["file"]).graph
+    kinds = [t.data_type for t in quantised.initializer if len(t.dims) == 4]
+    convolutions = sum(node.op_type == "Conv" for node in quantised.node)
+    assert kinds.count(onnx.TensorProto.INT8) == 11  # the U-Net
+    assert kinds.count(onnx.TensorProto.FLOAT16) == convolutions - 11
+    buffers = frame(50, 70, 2, seed=5)
+    exact, rounded = (Denoiser(folder, precision=p).run_buffers(buffers) for p in ("fp32", "int8"))
+    assert rounded.report["precision"] == "int8" and exact.report["precision"] == "fp32"
+    assert 0 < drift(rounded.color, exact.color) < 0.4  # its logits are random
+    np.testing.assert_array_equal(exact.color, Denoiser(exported[0]).run_buffers(buffers).color)
+
+
+@pytest.mark.parametrize(("bound", "value", "said"), [("BOUND", 0.5, "more than 0.5"), ("MOST_BYTES", 1, "MB")])
+def test_an_int8_variant_that_is_no_good_is_refused(
+    exported: tuple[Path, Denoising],
+    data: Stored,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    bound: str,
+    value: float,
+    said: str,
+) -> None:
+    monkeypatch.setattr(quantise, bound, value)
+    folder = shutil.copytree(exported[0], tmp_path / "model")
+    line = quantise.add_int8(folder, data)
+    assert line.startswith("no int8: ") and said in line
+    for path in folder.iterdir():
+        assert path.read_bytes() == (exported[0] / path.name).read_bytes()
 
 
 def test_a_folder_is_no_place_to_start_from(exported: tuple[Path, Denoising]) -> None:

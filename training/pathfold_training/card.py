@@ -20,6 +20,9 @@ def model_card(manifest: dict[str, Any]) -> str:
     operator = f"both branches, plus the {side}x{side} gather" if side else "plus the gather pyramid"
     cost = f"{training['kmac_per_pixel']:.0f} kMAC per pixel at 8 spp, {operator}"
     steps = f"{training['steps']} of {crops['batch']} crops of {crops['crop']}x{crops['crop']} pixels{begun}"
+    precision = manifest["precision"]
+    for variant, block in manifest.get("variants", {}).items():
+        precision += f"; {variant} with {block['rell2_over_fp32']:.4g} times the RelL2 on held-out views"
     loss = config["loss"]
     weights = f"{loss.get('image', 'robust')} relative error of the image"
     weights += f", {loss['branch']:g} on each branch" if side else ""  # a pyramid has but one
@@ -42,7 +45,7 @@ tags: [monte-carlo-denoising, kernel-prediction]
 | cost | {cost} |
 | tile | overlap {manifest["tile"]["overlap"]} px, alignment {manifest["tile"]["alignment"]} |
 | samples per pixel | trained on {crops["spp_min"]} to {crops["spp_max"]} |
-| precision | {manifest["precision"]} |
+| precision | {precision} |
 
 ## Training
 

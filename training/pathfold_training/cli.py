@@ -141,19 +141,26 @@ def export(
     standalone: Annotated[bool, typer.Option(help="also graphs with the reconstruction inside")] = False,
     data: Annotated[
         Path | None,
-        typer.Option(help="data set on whose held-out views to measure from which spp on paths can be left out"),
+        typer.Option(
+            help="data set to calibrate the int8 variant on, and on whose held-out views to measure its error and "
+            "from which spp on paths can be left out"
+        ),
     ] = None,
 ) -> None:
-    """Write a model folder: ONNX graphs, manifest and model card."""
+    """Write a model folder: ONNX graphs, manifest and model card. Of the pathfold family in int8, too, with --data."""
     from .data import Stored
     from .export import export as write
+    from .quantise import add_int8, can_be_quantised
 
     checkpoint = run / "last.ckpt"
     if not checkpoint.is_file():
         raise ValueError(f"{run} holds no last.ckpt; give the --out folder of 'pathfold-train fit'")
-    held_out = Stored(data).held_out() if data else ()
+    stored = Stored(data) if data else None
+    held_out = stored.held_out() if stored else ()
     record = json.loads((run / "record.json").read_text())
     console.print(f"model: {write(checkpoint, out, record, standalone, held_out)}")
+    if stored and can_be_quantised(out):
+        console.print(add_int8(out, stored), highlight=False)
 
 
 @app.command()

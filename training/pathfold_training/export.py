@@ -20,6 +20,7 @@ from .config import Config
 from .data import View
 from .features import DEMODULATION_EPSILON, DESCRIPTOR_CHANNELS, OPTIONAL
 from .fit import training_seconds
+from .halves import narrow, round_weights
 from .needs import samples_without_paths
 from .networks import embedding, kpcn, pathfold
 from .networks.kpcn import BRANCHES, Branch, Kpcn
@@ -97,13 +98,18 @@ class Standalone(BranchGraph):
 
 
 def load_task(checkpoint: Path) -> tuple[Denoising, dict]:
-    """The trained task in evaluation mode, weight norm folded, and the checkpoint's state."""
+    """The trained task in evaluation mode as it is exported, and the checkpoint's state.
+
+    Weight norm is folded, a pathfold network's weights are rounded to what is stored of them.
+    """
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
     task = Denoising(Config.model_validate(state["hyper_parameters"]["config"]))
     task.load_state_dict(state["state_dict"])
     for module in task.modules():
         if parametrize.is_parametrized(module):
             parametrize.remove_parametrizations(module, "weight")
+    if isinstance(task.model, Pathfold):
+        round_weights(task.model)
     return task.float().eval(), state
 
 
@@ -125,7 +131,10 @@ def write_graph(module: nn.Module, path: Path, inputs: Shapes, outputs: Shapes) 
         opset_version=OPSET,
         dynamo=False,
     )
-    onnx.checker.check_model(onnx.load(path), full_check=True)
+    model = onnx.load(path)
+    narrow(model)
+    onnx.checker.check_model(model, full_check=True)
+    onnx.save(model, path)
     return {"file": path.name, "sha256": sha256(path), "inputs": inputs, "outputs": outputs}
 
 
@@ -147,6 +156,8 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False, 
     else:
         own = write_branches(task.model, out, standalone)
     manifest = describe(task, state, own, record)
+    for variant in out.glob("*.int8.onnx"):
+        variant.unlink()  # of what the folder held before
     if held_out and isinstance(task.model, Pathfold) and (spp := samples_without_paths(task.eval(), held_out)):
         manifest["samples_per_pixel"]["without_paths"] = spp
     (out / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")

@@ -31,7 +31,7 @@ def bench(
         str | None,
         typer.Option(
             metavar="NAME,...",
-            help="noisy, oidn, oidn-fast, oidn-prefiltered, models (MODEL:fp32, MODEL:int8); default: all but oidn-fast.",
+            help="noisy, oidn, oidn-fast, oidn-prefiltered, models (MODEL, MODEL:int8); default: all but oidn-fast.",
         ),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Renderings of each scene and spp.")] = 3,

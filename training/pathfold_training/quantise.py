@@ -1,0 +1,160 @@
+"""int8 for a model of the pathfold family: quantised on training crops, measured on held-out views.
+
+Static quantisation by onnxruntime: the U-Net in int8, weights per channel; the first layer, trust, heads, embedding and
+reconstruction stay in float32.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnxruntime import InferenceSession
+from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
+from pathfold import Denoiser
+from pathfold.report.results import geometric
+
+from .card import model_card
+from .config import Config
+from .data import Batch, Crops, Inputs, Stored, ValidationViews
+from .export import sha256
+from .halves import narrow, widen
+
+GRAPH, FILE = "network", "network.int8.onnx"  # what is quantised, and where it is written
+BODY = ("down.", "project.", "up.")  # its layers
+CROPS = 48  # to calibrate on
+VIEWS, SPPS = 16, (2, 8)  # to measure on: held-out windows at most, samples per pixel
+BOUND = 1.02  # of RelL2 over that of fp32
+MOST_BYTES = 8_000_000  # of a folder's graphs: models come with every installation
+Feeds = dict[str, NDArray[np.float32]]
+
+
+def add_int8(folder: Path, data: Stored) -> str:
+    """Write the int8 variant of a model folder into it: graph, manifest and card. Returns a line that says how it went.
+
+    Nothing is written where it would have more than BOUND times the error, or make the folder larger than MOST_BYTES.
+    """
+    with TemporaryDirectory() as scratch:
+        trial = quantised_copy(folder, Path(scratch), data)
+        every = data.held_out()
+        views = every[:: -(-len(every) // VIEWS)]
+        error = geometric([ratio for spp in SPPS for ratio in ratios(trial, ValidationViews(views, True, spp))])
+        size = sum(path.stat().st_size for path in trial.glob("*.onnx"))
+        said = f"RelL2 {error:.4f} times that of fp32 on {len(views)} held-out views"
+        if not error <= BOUND:
+            return f"no int8: {said}, more than {BOUND:g}; train longer, or with quantisation in the loop"
+        if size > MOST_BYTES:
+            return f"no int8: with it the folder would hold {size / 1e6:.1f} MB, more than {MOST_BYTES / 1e6:g}"
+        manifest = json.loads((trial / "manifest.json").read_text())
+        manifest["variants"]["int8"]["rell2_over_fp32"] = round(error, 4)
+        shutil.copy(trial / FILE, folder)
+    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
+    (folder / "README.md").write_text(model_card(manifest))
+    return f"int8: {said}; {size / 1e6:.1f} MB in all"
+
+
+def can_be_quantised(folder: Path) -> bool:
+    """Whether the model is one of the pathfold family."""
+    return GRAPH in json.loads((folder / "manifest.json").read_text())["graphs"]
+
+
+def quantised_copy(
+    folder: Path, scratch: Path, data: Stored, crops: int = CROPS, fp32: Sequence[str] = (), percentile: float = 0
+) -> Path:
+    """A copy of the model folder in `scratch` that has an int8 variant, whose error is not known yet.
+
+    `fp32` names layers to leave as they are. Activations range from their least to their largest value in the crops, or
+    as far as `percentile` of them do.
+    """
+    manifest = json.loads((folder / "manifest.json").read_text())
+    copied = scratch / folder.name
+    shutil.copytree(folder, copied)
+    model = onnx.load(folder / manifest["graphs"][GRAPH]["file"])
+    widen(model)
+    source = scratch / "fp32.onnx"  # onnxruntime writes what it infers beside it
+    onnx.save(model, source)
+    quantize_static(
+        source,
+        copied / FILE,
+        Calibration(calibration_feeds(folder, manifest, data, crops)),
+        quant_format=QuantFormat.QDQ,
+        per_channel=True,
+        activation_type=QuantType.QUInt8,
+        weight_type=QuantType.QInt8,
+        op_types_to_quantize=["Conv", "MaxPool", "Resize", "Add"],
+        nodes_to_quantize=body(model.graph, fp32),
+        calibrate_method=CalibrationMethod.Percentile if percentile else CalibrationMethod.MinMax,
+        extra_options={"CalibPercentile": percentile} if percentile else {},
+    )
+    quantised = onnx.load(copied / FILE)
+    narrow(quantised)
+    onnx.checker.check_model(quantised, full_check=True)
+    onnx.save(quantised, copied / FILE)
+    graph = {"file": FILE, "sha256": sha256(copied / FILE)}
+    manifest["variants"] = {"int8": {"rell2_over_fp32": 1.0, "graphs": {GRAPH: graph}}}
+    (copied / "manifest.json").write_text(json.dumps(manifest))
+    return copied
+
+
+class Calibration(CalibrationDataReader):
+    def __init__(self, feeds: Iterator[Feeds]) -> None:
+        self.feeds = feeds
+
+    def get_next(self) -> Feeds | None:
+        return next(self.feeds, None)
+
+
+def calibration_feeds(folder: Path, manifest: dict[str, Any], data: Stored, crops: int) -> Iterator[Feeds]:
+    """The graph's inputs of augmented training crops, as the model was trained on them."""
+    sessions = [InferenceSession(folder / manifest["graphs"][name]["file"]) for name in ("embedding", GRAPH)]
+    config = Config.model_validate(manifest["training"]["config"]).data.model_copy(update={"batch": 1})
+    for batch in islice(Crops(data, config, seed=0, paths=True), crops):
+        yield network_feeds(batch.inputs, *sessions)
+
+
+def network_feeds(inputs: Inputs, embedding: InferenceSession, network: InferenceSession) -> Feeds:
+    """One frame's inputs of the graph `network`, its samples embedded."""
+    arrays = {name: value.numpy() for name, value in (inputs | {"radiance": inputs["color"]}).items()}
+    (arrays["embedding"],) = embedding.run(None, {port.name: arrays[port.name] for port in embedding.get_inputs()})
+    return {port.name: arrays[port.name] for port in network.get_inputs()}
+
+
+def body(graph: onnx.GraphProto, fp32: Sequence[str]) -> list[str]:
+    """The nodes to quantise: the U-Net between the first layer and the heads, without the layers of `fp32`."""
+    resized = {output for node in graph.node if node.op_type == "Resize" for output in node.output}
+
+    def inside(node: onnx.NodeProto) -> bool:
+        if node.op_type == "Conv":
+            layer = node.input[1].removeprefix("model.").removesuffix(".weight")
+            return layer.startswith(BODY) and layer not in fp32
+        return node.op_type in ("MaxPool", "Resize") or (node.op_type == "Add" and bool(resized & set(node.input)))
+
+    return [node.name for node in graph.node if inside(node)]
+
+
+def ratios(folder: Path, frames: ValidationViews) -> list[float]:
+    """RelL2 in int8 over that in fp32, of each frame as the SDK denoises it."""
+    exact, rounded = (Denoiser(folder, precision=precision) for precision in ("fp32", "int8"))
+    batches = (frames[index] for index in range(len(frames)))
+    return [error(rounded, batch) / error(exact, batch) for batch in batches]
+
+
+def error(denoiser: Denoiser, batch: Batch) -> float:
+    """RelL2 of the one frame of a batch, exposed."""
+    exposure = float(batch.inputs["exposure"])
+    known = {*denoiser.model.requires, *denoiser.model.uses}
+    buffers = {name: np.moveaxis(value.numpy(), 1, -1) for name, value in batch.inputs.items() if name in known}
+    buffers = {name: value if name.startswith("samples.") else value[0] for name, value in buffers.items()}
+    if not float(batch.inputs["variance.present"]):
+        del buffers["variance"]
+    image = denoiser.run_buffers(buffers, exposure=exposure).color * exposure
+    reference = np.moveaxis(batch.reference["color"].numpy()[0], 0, -1) * exposure
+    return float(((image - reference) ** 2 / (reference**2 + 0.01)).mean())
