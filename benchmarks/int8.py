@@ -2,8 +2,8 @@
 
     python benchmarks/int8.py MODEL_FOLDER DATA [--views 8 --crops 48 --spp 2 8 --fp32 down.0.0 --percentile 99.99]
 
-Quantises as `pathfold-train export --data` does, prints a Markdown table and leaves the folder as it is. `--fp32` leaves
-layers as they are; without `--percentile` activations range from their least to their largest value.
+Quantises as `pathfold-train export --data` does, prints a Markdown table and leaves the folder as it is. `--fp32`
+leaves layers as they are; without `--percentile` activations range from their least to their largest value.
 """
 
 import argparse

@@ -11,6 +11,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from .reference import BUDGET
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -30,7 +32,7 @@ def render(
     procedural: Annotated[int, typer.Option(min=0, help="number of procedural views")] = 0,
     library: Annotated[Path | None, typer.Option(help="folder of Mitsuba scenes")] = None,
     cameras: Annotated[int, typer.Option(min=1, help="views of each library scene")] = 4,
-    budget: Annotated[float, typer.Option(min=0, help="core-seconds of reference rendering per view")] = 10.0,
+    budget: Annotated[float, typer.Option(min=0, help="core-seconds of reference rendering per view")] = BUDGET,
     size: Annotated[int, typer.Option(min=16, help="width and height of a view in pixels")] = 128,
     spp: Annotated[
         int | None,

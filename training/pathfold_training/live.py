@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import count
 
 from .data import View
+from .reference import BUDGET
 from .render import procedural_task
 from .scenes.faults import RejectedError
 from .store import Line
@@ -23,7 +24,7 @@ class Live:
     """What is rendered. The defaults suit a preset's crops of 96 pixels and up to 8 samples."""
 
     variant: str = "llvm_ad_rgb"
-    budget: float = 5.0  # seconds for a reference
+    budget: float = BUDGET  # seconds for a reference
     size: int = 128
     spp: int = 16
     every: int = 10  # steps between two new views

@@ -15,6 +15,7 @@ from pathfold import auto_exposure
 
 from .scenes.faults import RejectedError
 
+BUDGET = 0.5  # core-seconds; more views with such references taught more than fewer clean ones (docs/results)
 ROUND = 32  # samples per pixel and half between two looks at clock and error
 GOOD, POOR = 2e-4, 1e-2  # RelL2 at which rendering stops early, or may take HARD times the budget
 HARD = 2

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from . import farm, store
+from .reference import BUDGET
 from .scenes.faults import Gallery
 from .view import DESCRIPTION, Task, entropy
 
@@ -26,7 +27,7 @@ def render(
     out: Path,
     procedural: int = 0,
     library: Path | None = None,
-    budget: float = 10,
+    budget: float = BUDGET,
     seed: int = 0,
     size: int = 128,
     spp: int | None = None,
