@@ -148,6 +148,19 @@ def test_samples_are_embedded_once_and_only_where_there_are_paths(exported: tupl
         assert report["ms"]["embedding"] == 0
 
 
+def test_progress_never_goes_back(exported: tuple[Path, Denoising]) -> None:
+    """Samples are embedded when the first tile needs them, here one in the middle."""
+    folder, _ = exported
+    buffers = frame(336, 48, 2, seed=9)
+    buffers["color"][:192] = 0
+    seen: list[float] = []
+    report = Denoiser(folder, tile=16).run_buffers(buffers, progress=seen.append).report
+    assert report["ms"]["embedding"] > 0
+    assert any("tiles" in line["what"] for line in report["left_out"])
+    assert seen == sorted(seen)
+    assert seen[-1] == 1
+
+
 def test_descriptors_need_not_fit_into_the_memory_of_a_tile(exported: tuple[Path, Denoising]) -> None:
     folder, _ = exported
     buffers = frame(256, 256, 16, seed=8)  # 36 MB of descriptors

@@ -113,7 +113,7 @@ private:
     void copy_noisy(const Tile &tile, int branch);
     void write(const Tile &tile);
     void write(const Tile &tile, const ImageView &output, const std::vector<size_t> &signals);
-    void tell_progress(float done) const;
+    void tell_progress(float done);
     void report_branches();
     void report_tiles(const std::string &what, const std::string &why);
     void report_inputs();
@@ -135,6 +135,7 @@ private:
     std::vector<float> gathered_;
     Planes cleaned_; // of the tile at hand, what a branch's radiance is multiplied by; empty: what it was
                      // divided by
+    float told_ = 0; // the progress
     bool embedded_ = false;                             // the frame's samples, where the model does so
     std::map<std::string, size_t> offsets_;             // of the network's outputs in logits_
     std::vector<char> idle_;                            // per branch: in the whole frame
@@ -236,7 +237,7 @@ void Denoiser::Run::embed() {
         const std::vector<int64_t> shape{1, manifest_.embedding_channels, Embedding::cells(strip.height),
                                          Embedding::cells(width)};
         std::vector<float> sums(size_t(shape[1] * shape[2] * shape[3]));
-        tell_progress(0);
+        tell_progress(told_); // it may cancel; tiles that need no network came before
         for (int64_t first = 0; first < spp; first += count) {
             session.run(packer_.samples(strip, first, std::min(count, spp - first)),
                         {{"embedding", shape, sums.data()}});
@@ -475,7 +476,8 @@ void Denoiser::Run::write(const Tile &tile, const ImageView &output, const std::
     report_.counts.repaired += repaired;
 }
 
-void Denoiser::Run::tell_progress(float done) const {
+void Denoiser::Run::tell_progress(float done) {
+    told_ = done;
     if (settings_.progress && !settings_.progress(done))
         fail(PATHFOLD_CANCELLED, "cancelled by the progress callback");
 }
