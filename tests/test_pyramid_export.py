@@ -319,6 +319,8 @@ def test_paths_are_left_out_by_name_where_the_manifest_says_so(
         what = [line["what"] for line in left_out.report["left_out"]]
         assert ("paths" in what) == (samples == 3)
         assert left_out.report["samples_per_pixel"] == samples
+        assert "samples.descriptor" not in left_out.report["inputs"]["missing"]
+        assert ("samples.descriptor" in left_out.report["inputs"]["unused"]) == (samples == 3)
 
 
 def test_from_which_spp_on_paths_can_go_is_measured(exported: tuple[Path, Denoising], tmp_path: Path) -> None:

@@ -97,8 +97,10 @@ int64_t Frame::samples() const {
 Frame Frame::without_samples() const {
     Frame pixels = *this;
     for (const auto &[name, view] : inputs_)
-        if (find_buffer(name)->per_sample)
+        if (find_buffer(name)->per_sample) {
             pixels.inputs_.erase(name);
+            pixels.taken_away_.push_back(name);
+        }
     return pixels;
 }
 

@@ -42,6 +42,7 @@ public:
     int64_t samples() const; ///< per pixel, 0 where no samples were given
 
     Frame without_samples() const;
+    const std::vector<std::string> &taken_away() const { return taken_away_; } ///< by without_samples
 
     /// Whether each branch of the model gets radiance of its own.
     bool split(const Manifest &manifest) const;
@@ -56,6 +57,7 @@ private:
 
     std::map<std::string, ImageView> inputs_, outputs_;
     std::vector<Layer> layers_;
+    std::vector<std::string> taken_away_;
 };
 
 } // namespace pathfold::core

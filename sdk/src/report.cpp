@@ -11,14 +11,17 @@ using Json = nlohmann::json;
 namespace {
 
 Json describe_inputs(const Frame &frame, const Manifest &manifest, bool split) {
-    const std::vector<std::string> unread = unread_buffers(frame, manifest, split);
+    std::vector<std::string> unread = unread_buffers(frame, manifest, split);
+    const std::vector<std::string> &taken = frame.taken_away();
+    unread.insert(unread.end(), taken.begin(), taken.end());
     Json used = Json::array(), missing = Json::array();
     for (const auto &[name, view] : frame.inputs())
         if (std::find(unread.begin(), unread.end(), name) == unread.end())
             used.push_back(name);
     for (const auto *names : {&manifest.requires_, &manifest.uses})
         for (const std::string &name : *names)
-            if (!frame.has(name) && !(name == "color" && split))
+            if (!frame.has(name) && !(name == "color" && split) &&
+                std::find(taken.begin(), taken.end(), name) == taken.end())
                 missing.push_back(name);
     return {{"used", used}, {"unused", unread}, {"missing", missing}};
 }
