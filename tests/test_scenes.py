@@ -267,8 +267,13 @@ def test_the_library_lists_scenes_with_their_licence() -> None:
     (entry,) = library.scan(LIBRARY)
     assert (entry.name, entry.licence) == ("tiny", "CC0 1.0")
     assert "Tiny room" in entry.origin
-    with pytest.raises(FileNotFoundError, match="no Mitsuba scene"):
+    with pytest.raises(FileNotFoundError, match="is no folder"):
         library.scan(LIBRARY / "tiny" / "nothing")
+
+
+def test_a_folder_without_scenes_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no Mitsuba scene"):
+        library.scan(tmp_path)
 
 
 def test_a_broken_scene_is_named(tmp_path: Path) -> None:
@@ -296,6 +301,23 @@ def test_library_scenes_vary_in_light_colour_and_roughness() -> None:
         assert 0 <= varied[name].min() <= varied[name].max() <= 1
     assert 0.1 / 2 <= varied["gloss.brdf_0.alpha"][0] <= 0.1 * 2
     assert (np.abs(np.log2(varied["light"] / before["light"])) < 2 + 1).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "may"),
+    [
+        ("CC0 1.0", True),
+        ("'Room' by X, CC BY 4.0", True),
+        ("CC BY-ND 4.0", False),
+        ("CC BY 4.0, see https://creativecommons.org/licenses/by-nc-nd/4.0/", False),
+        ("Attribution-NoDerivatives 4.0", False),
+        ("all rights reserved", False),
+    ],
+)
+def test_only_licences_that_allow_it_are_varied(tmp_path: Path, text: str, may: bool) -> None:
+    (tmp_path / "scene.xml").touch()
+    (tmp_path / "LICENSE.txt").write_text(text)
+    assert library.scan(tmp_path)[0].may_vary is may
 
 
 def test_varied_bitmaps_stay_bitmaps() -> None:

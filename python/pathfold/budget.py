@@ -109,7 +109,9 @@ class Budget:
         self.models = [model] if model else fitting
         if not self.models:
             raise failure(
-                "not-found", f"none of {', '.join(PREFERRED)} is there{' in int8' * len(needed)}; name a model"
+                "not-found",
+                f"none of {', '.join(PREFERRED)} is there{' in int8' * len(needed)}; "
+                f"name a model{', or give precision fp32 or auto' * len(needed)}",
             )
         self._options = options
         self._chosen: dict[tuple[Any, ...], Choice] = {}

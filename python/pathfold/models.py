@@ -65,8 +65,13 @@ def manifest(name: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def precisions(name: str | os.PathLike[str]) -> list[str]:
-    """The precisions that a model can run in, "fp32" first."""
-    return ["fp32", *manifest(name).get("variants", {})]
+    """The precisions that a model can run in, "fp32" first. Raises PathfoldError as `manifest` does."""
+    from pathfold.denoising import failure
+
+    variants = manifest(name).get("variants", {})
+    if not isinstance(variants, dict):
+        raise failure("invalid-model", f"{find(name) / 'manifest.json'}: `variants` is no object of precisions")
+    return ["fp32", *variants]
 
 
 def inputs(name: str | os.PathLike[str]) -> set[str]:

@@ -369,8 +369,8 @@ void Denoiser::Run::clean_factor(const Tile &tile, int branch, const PyramidLogi
             float *to = cleaned_.row(c, y);
             for (int x = 0; x < width; ++x) {
                 const int at_x = core.x + x;
-                to[x] = noisy[x] +
-                        share[size_t(at_x % 2) * phase + size_t(at_x / 2)] * known[x] * (clean[x] - noisy[x]);
+                const float part = std::clamp(share[size_t(at_x % 2) * phase + size_t(at_x / 2)], 0.0f, 1.0f);
+                to[x] = noisy[x] + part * known[x] * (clean[x] - noisy[x]);
             }
         }
     });

@@ -322,8 +322,8 @@ void read_reconstruction(const Field &field, Manifest &manifest) {
     std::set<std::string> radiance;
     for (const Branch &branch : manifest.branches) {
         radiance.insert(branch.radiance);
-        if (branch.clean && !manifest.pyramid)
-            branches.wrong("without \"clean\": only a pyramid's finest kernels can clean a guide");
+        if (branch.clean && !(manifest.pyramid && branch.unsplit))
+            branches.wrong("without \"clean\" but in a pyramid's branch with \"unsplit\"");
     }
     const bool known = radiance == std::set<std::string>{"color"} ||
                        radiance == std::set<std::string>{"diffuse", "specular"};

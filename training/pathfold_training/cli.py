@@ -51,6 +51,10 @@ def render(
     """
     from .render import render as run
 
+    if not (procedural or library or (out / "index.jsonl").is_file()):
+        raise ValueError(
+            f"{out} holds no views to complete, and none are asked for: give --procedural N or --library DIR"
+        )
     counts = run(
         out, procedural, library, budget, seed, size, spp, crop, crops, cameras,
         workers=workers, cluster=cluster, variant=variant, console=console,
@@ -58,6 +62,8 @@ def render(
     console.print(f"{out}: {counts['done']} views made, {counts['kept']} kept, {counts['failed']} failed")
     if counts["failed"]:
         console.print(f"reasons are in {out / 'render.log'}")
+        if not counts["done"] + counts["kept"]:
+            raise typer.Exit(1)
 
 
 @dataset.command("info")
@@ -194,5 +200,5 @@ def main() -> None:
         )
         sys.exit(2)
     except (ValueError, OSError, RuntimeError) as error:
-        console.print(f"pathfold-train: {error}", style="red", highlight=False)
+        console.print(f"pathfold-train: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
         sys.exit(1)

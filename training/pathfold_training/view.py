@@ -158,7 +158,7 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
     line |= {"width": task.size, "height": task.size, "path": task.path}
     if task.kind == "library":
         scene = _load_file(task)
-        if task.number > 0 and "ND" not in task.licence:  # no derivatives
+        if task.number > 0 and _entry(task).may_vary:
             line |= {"variation": int(entropy(task.seed, task.scene, "variation", task.number)[0])}
             variation.vary(scene, np.random.default_rng(line["variation"]))
         rng = np.random.default_rng(entropy(task.seed, task.scene, "cameras"))
@@ -220,9 +220,15 @@ def _load_file(task: Task) -> Any:
     from .scenes import library
 
     dr.set_thread_count(2)
-    scene = library.load(library.Entry(Path(task.path), task.scene, task.licence, task.origin))
+    scene = library.load(_entry(task))
     dr.set_thread_count(1)
     return scene
+
+
+def _entry(task: Task) -> Any:
+    from .scenes import library
+
+    return library.Entry(Path(task.path), task.scene, task.licence, task.origin)
 
 
 def _plain(camera: Any) -> Line | None:

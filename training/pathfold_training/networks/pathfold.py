@@ -148,7 +148,7 @@ def reconstruct(predicted: Prediction, radiance: Tensor, factor: Tensor | None) 
     if predicted.cleaning is None:
         return filtered * factor
     height, width = radiance.shape[-2:]
-    share = functional.pixel_shuffle(predicted.cleaning, 2)[:, :, :height, :width]
+    share = functional.pixel_shuffle(predicted.cleaning, 2)[:, :, :height, :width].clamp(0.0, 1.0)
     local = gather_finest(trust, finest, factor, torch.isfinite(radiance).all(1, keepdim=True))
     return filtered * (factor + share * (local - factor))
 

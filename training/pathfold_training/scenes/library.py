@@ -16,16 +16,25 @@ from .cameras import Camera, RejectedError, cast, find, pose, resize, survey
 
 
 class Entry(NamedTuple):
-    """A scene file with its name, licence line and origin."""
+    """A scene file with its name, licence line and origin, and whether it may be changed."""
 
     path: Path
     name: str
     licence: str
     origin: str
 
+    @property
+    def may_vary(self) -> bool:
+        """Whether its licence is known and does not forbid derivatives, by all that the LICENSE.txt beside it says."""
+        note = self.path.parent / "LICENSE.txt"
+        text = note.read_text(errors="replace") if note.exists() else ""
+        return self.licence != "unknown" and not re.search(r"no[ -]?deriv|\bby([- ]nc)?[- ]nd\b", text, re.IGNORECASE)
+
 
 def scan(folder: Path) -> list[Entry]:
     """Every `*.xml` directly in the folder and every `scene.xml` below it; LICENSE.txt beside it tells the licence."""
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} is no folder; give --library a folder of Mitsuba scenes")
     paths = sorted([*folder.glob("*.xml"), *folder.glob("**/scene.xml")])
     if not paths:
         raise FileNotFoundError(f"no Mitsuba scene in {folder}: expected NAME/scene.xml or *.xml")
