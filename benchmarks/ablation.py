@@ -53,16 +53,9 @@ class SingleKernel(Pathfold):
         self.heads = nn.ModuleList([empty_head(network.widths[0], 4 * SIDE * SIDE)])
 
     def predict(self, entrance: Tensor) -> Prediction:
-        x = torch.relu(entrance)
-        skips = []
-        for level, down in enumerate(self.down):
-            x = down(functional.max_pool2d(x, 2) if level > 0 else x)
-            skips.append(x)
-        trust = -9.0 * torch.sigmoid(exact(self.trust(skips[0])))
-        for level in reversed(range(len(self.up))):
-            x = self.up[level](skips[level] + pathfold.upsample(self.project[level](x)))
-        cleaning = None if self.cleaning is None else torch.sigmoid(exact(self.cleaning(x)))
-        return Prediction(trust, [exact(self.heads[0](x))], cleaning)
+        trust, (finest, *_) = self.features(entrance)
+        cleaning = None if self.cleaning is None else torch.sigmoid(exact(self.cleaning(finest)))
+        return Prediction(trust, [exact(self.heads[0](finest))], cleaning)
 
     def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Tensor, list[Tensor], Tensor]:
         predicted, paths = self(inputs, counts)

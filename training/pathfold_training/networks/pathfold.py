@@ -102,20 +102,24 @@ class Pathfold(nn.Module):
         x = torch.cat([pixels, embedding_moments(sums)], 1).contiguous(memory_format=torch.channels_last)
         return self.first(x) + self.presence(presence(inputs))[:, :, None, None]
 
-    def predict(self, entrance: Tensor) -> Prediction:
-        """The U-Net and its heads."""
+    def features(self, entrance: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """The U-Net: trust as in Prediction, and what the heads read, B x width x H/2 x W/2 down to 1/16."""
         x = torch.relu(entrance)
         skips = []
         for level, down in enumerate(self.down):
             x = down(functional.max_pool2d(x, 2) if level > 0 else x)
             skips.append(x)
         trust = -9.0 * torch.sigmoid(exact(self.trust(skips[0])))
-        logits = [self.heads[-1](x)]
+        decoded = [x]
         for level in reversed(range(len(self.up))):
-            x = self.up[level](skips[level] + upsample(self.project[level](x)))
-            logits.insert(0, self.heads[level](x))
-        cleaning = None if self.cleaning is None else torch.sigmoid(exact(self.cleaning(x)))
-        return Prediction(trust, logits, cleaning)
+            decoded.insert(0, self.up[level](skips[level] + upsample(self.project[level](decoded[0]))))
+        return trust, decoded
+
+    def predict(self, entrance: Tensor) -> Prediction:
+        """The U-Net and its heads."""
+        trust, decoded = self.features(entrance)
+        cleaning = None if self.cleaning is None else torch.sigmoid(exact(self.cleaning(decoded[0])))
+        return Prediction(trust, [head(x) for head, x in zip(self.heads, decoded, strict=True)], cleaning)
 
     def output_shapes(self) -> dict[str, list[int | str]]:
         """Graph outputs in the order of Prediction; "H/4" is a quarter of H rounded up to a multiple of 16."""
