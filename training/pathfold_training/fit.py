@@ -25,6 +25,7 @@ from torch.utils.data import DataLoader
 from .config import Config
 from .data import Crops, Stored, ValidationViews
 from .live import Live, LiveViews
+from .networks.pathfold import Pathfold
 from .store import Line
 from .task import Denoising
 
@@ -137,13 +138,18 @@ def warm_start(task: Denoising, source: Path) -> None:
     """Copy the weights of a checkpoint or model folder; what only the new network has keeps its own first values.
 
     That holds for R's input channels too: begun at zero they stay small for thousands of steps, and R does not read F.
+    A network of the pathfold family with wider layers begins as the narrow one: what that had reads nothing new yet.
+    Raises ValueError where a layer is narrower, of another kernel size, or missing.
     """
+    wider = isinstance(task.model, Pathfold)
     merged = {name: value.clone() for name, value in plain_weights(task).items()}
     for name, value in folder_weights(source).items() if source.is_dir() else checkpoint_weights(source).items():
         name = re.sub(r"^(model\.branches\.\w+)\.head\.", r"\1.kernels.", name)  # as the first models have it
         new = merged.get(name)
-        if new is None or new.shape[:1] + new.shape[2:] != value.shape[:1] + value.shape[2:]:
+        if new is None or not fits(value, new, wider and not name.startswith("model.sample.")):
             raise ValueError(f"{source}: its weight {name} does not fit preset '{task.config.name}'")
+        if wider and value.dim() > 1:
+            new[: value.shape[0], value.shape[1] :] = 0.0
         new[tuple(slice(n) for n in value.shape)] = value
     for name, value in merged.items():
         owner, _, attribute = name.rpartition(".")
@@ -153,6 +159,14 @@ def warm_start(task: Denoising, source: Path) -> None:
                 setattr(module, attribute, value)  # weight norm finds its two factors
             else:
                 getattr(module, attribute).copy_(value)
+
+
+def fits(value: Tensor, new: Tensor, wider: bool) -> bool:
+    """`value` can be the first channels of `new`: of its inputs, and of its outputs too where it may be wider."""
+    if value.dim() != new.dim() or value.shape[2:] != new.shape[2:]:
+        return False
+    outputs = value.shape[0] <= new.shape[0] if wider else value.shape[0] == new.shape[0]
+    return outputs and value.shape[1:2] <= new.shape[1:2]
 
 
 def plain_weights(task: Denoising) -> dict[str, torch.Tensor]:
