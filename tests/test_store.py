@@ -173,3 +173,19 @@ def test_sheet_shows_every_reference(folder: Path, tmp_path: Path) -> None:
     assert not pixels[40:, 40:].any()
     with pytest.raises(OSError, match=r"cannot write .*; give a \.jpg or \.png"):
         dataset.sheet(folder, tmp_path / "nowhere" / "sheet.png")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["render", "--out", "{}/file", "--procedural", "1"], "file is a file; give a folder"),
+        (["render", "--out", "{}/new", "--procedural", "1", "--budget", "inf"], "--budget inf: give core-seconds"),
+        (["dataset", "sheet", "{}", "-o", "sheet.exr"], "sheet.exr: a contact sheet is written as .jpg or .png"),
+        (["fit", "kpcn-vanilla", "--data", "{}", "--out", "{}/file"], "file is a file; give a folder"),
+    ],
+)
+def test_a_wrong_argument_is_named(arguments: list[str], said: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    result = CliRunner().invoke(app, [argument.format(tmp_path) for argument in arguments])
+    assert isinstance(result.exception, ValueError)
+    assert said in str(result.exception)

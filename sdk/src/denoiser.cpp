@@ -16,6 +16,7 @@ constexpr int64_t default_logits_bytes = 256 * mebibyte;
 constexpr int64_t default_input_bytes = 512 * mebibyte;
 constexpr int64_t default_window_pixels = 640 * 1024;  // 544 x 960 and its overlap: bounds the network's part
 constexpr int64_t pyramid_window_pixels = 1280 * 1024; // its network is lighter and its overlap larger
+constexpr int64_t cleaner_floats = 11; // a pixel: source and sum of weights, filtered and cleaned factor
 
 int64_t square(int64_t value) { return value * value; }
 
@@ -28,6 +29,9 @@ int64_t window_pixels(const Settings &settings, const Manifest &manifest, int64_
     for (const auto &[name, shape] : manifest.outputs())
         logits_floats += (shape[1].size + square(step_of(shape[2])) - 1) / square(step_of(shape[2]));
     const int64_t logits_bytes = logits_floats * int64_t(sizeof(float));
+    if (std::any_of(manifest.branches.begin(), manifest.branches.end(),
+                    [](const Branch &b) { return b.clean; }))
+        input_floats += cleaner_floats;
     const int64_t input_bytes = input_floats * int64_t(sizeof(float));
     if (settings.memory_mb == 0)
         return std::min({manifest.pyramid ? pyramid_window_pixels : default_window_pixels,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -23,7 +24,7 @@ console = Console(stderr=True)
 dataset = typer.Typer(no_args_is_help=True, help="What a data set holds.")
 app.add_typer(dataset, name="dataset")
 
-Variant = Annotated[str, typer.Option(help="Mitsuba's: llvm_ad_rgb, or cuda_ad_rgb on a GPU")]
+Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], typer.Option(help="Mitsuba's; cuda_ad_rgb needs a GPU")]
 
 
 @app.command()
@@ -51,6 +52,10 @@ def render(
     """
     from .render import render as run
 
+    if not math.isfinite(budget):
+        raise ValueError(f"--budget {budget}: give core-seconds per view, such as {BUDGET}")
+    if out.is_file():
+        raise ValueError(f"--out {out} is a file; give a folder")
     if not (procedural or library or (out / "index.jsonl").is_file()):
         raise ValueError(
             f"{out} holds no views to complete, and none are asked for: give --procedural N or --library DIR"
@@ -106,6 +111,8 @@ def dataset_sheet(
     """Draw a contact sheet of all references."""
     from .dataset import sheet
 
+    if out.suffix.lower() not in (".jpg", ".jpeg", ".png"):
+        raise ValueError(f"-o {out}: a contact sheet is written as .jpg or .png")
     console.print(f"{out}: {sheet(folder, out, columns)} views")
 
 
@@ -132,6 +139,8 @@ def fit(
     from .fit import fit as run
     from .live import Live
 
+    if out.is_file():
+        raise ValueError(f"--out {out} is a file; give a folder")
     if (data is None) != render_on_the_fly:
         raise ValueError("give --data DIR, or --render-on-the-fly, and not both")
     config = load_preset(preset)
