@@ -10,8 +10,8 @@ is done (to stderr) and kept, with all its settings, in WORK/results.jsonl; the 
 stopped, and prints a Markdown table at its end.
 
 The pathfold family filters color as a whole. "diffuse and specular each" (two sets of kernels, the diffuse part divided
-by its own albedo), "one 11x11 kernel" (41 kMAC per pixel where pathfold-fast's pyramid takes 37) and "descriptors
-scaled to deviation 1" are networks of this file, for training only.
+by its own albedo) and "one 11x11 kernel" (41 kMAC per pixel where pathfold-fast's pyramid takes 37) are networks of
+this file, for training only.
 """
 
 import argparse
@@ -35,8 +35,6 @@ from pathfold_training.config import Config, Pyramid, load_preset
 from pathfold_training.data import Stored, View
 from pathfold_training.fit import commit, fit, training_seconds
 from pathfold_training.networks import pathfold
-from pathfold_training.networks.embedding import INPUT_DEVIATION, INPUT_MEAN
-from pathfold_training.networks.kpcn import path_features
 from pathfold_training.networks.pathfold import ALBEDO_EPSILON, Pathfold, Prediction, aligned, exact, reconstruct
 from pathfold_training.networks.reconstruct import bounded_exp, normalised, weigh_taps
 from pathfold_training.score import load, score
@@ -109,15 +107,6 @@ class SplitKernels(Pathfold):
         return diffuse, torch.relu(inputs["radiance"] - diffuse), inputs["diffuse.albedo"] + ALBEDO_EPSILON
 
 
-class ScaledDescriptors(Pathfold):
-    """Descriptors enter the embedding with mean 0 and deviation 1, as they do in KPCN's."""
-
-    def embed(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Tensor:
-        mean, deviation = (torch.tensor(x).reshape(1, -1, 1, 1) for x in (INPUT_MEAN, INPUT_DEVIATION))
-        features = (path_features(inputs, counts) - mean) / deviation
-        return self.sample(features.contiguous(memory_format=torch.channels_last))
-
-
 def empty_head(inputs: int, outputs: int) -> nn.Conv2d:
     """A 1x1 layer that begins at 0, as the family's heads do: uniform kernels."""
     head = nn.Conv2d(inputs, outputs, 1)
@@ -144,7 +133,7 @@ VARIANTS = (
     Variant(BASELINE, "baseline", {}, all_seeds=True),
     Variant(BASELINE, "baseline, scored without paths", {}, all_seeds=True, paths=False),
     Variant("no-paths", "never any paths", {"data": {"drop_paths": 1.0}}, all_seeds=True, paths=False),
-    Variant("scaled", "descriptors scaled to deviation 1", {}, all_seeds=True, network=ScaledDescriptors),
+    Variant("unscaled", "descriptors not scaled", {"network": {"scaled": False}}, all_seeds=True),
     Variant("manifold-low", "manifold loss, lambda 0.00125", {"loss": {"manifold": 0.00125}}),
     Variant("manifold", "manifold loss, lambda 0.0125", {"loss": {"manifold": 0.0125}}, all_seeds=True),
     Variant("manifold-high", "manifold loss, lambda 0.0625", {"loss": {"manifold": 0.0625}}),

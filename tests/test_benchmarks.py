@@ -50,7 +50,7 @@ def test_a_subset_keeps_what_is_held_out_and_stays_as_it_was(tmp_path: Path) -> 
     assert Store(ablation.subset(data, tmp_path / "third", 1 / 3)).lines == kept
 
 
-@pytest.mark.parametrize("run", ["baseline", "kernel-11", "split", "scaled"])
+@pytest.mark.parametrize("run", ["baseline", "kernel-11", "split"])
 def test_every_network_trains_and_keeps_a_constant(run: str, tmp_path: Path) -> None:
     variant = next(v for v in ablation.VARIANTS if v.run == run)
     config = ablation.changed(load_preset("pathfold-fast"), TINY)

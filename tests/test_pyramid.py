@@ -9,6 +9,7 @@ from pathfold_training.fit import fit, warm_start
 from pathfold_training.networks.pathfold import (
     Pathfold,
     Prediction,
+    Standardised,
     embedding_moments,
     embedding_sums,
     macs_per_pixel,
@@ -20,7 +21,7 @@ from pathfold_training.score import load
 from pathfold_training.task import Denoising
 from training_data import write_data_set
 
-SMALL = Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4, clean=True)
+SMALL = Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4, clean=True, scaled=True)
 TINY = Config(
     name="tiny",
     description="a network for tests",
@@ -232,6 +233,17 @@ def test_overlap_covers_the_receptive_field() -> None:
             assert 175 + reach - 16 <= int(index.max()) <= 175 + reach
 
 
+def test_scaled_descriptors_are_folded_into_the_weights() -> None:
+    layer = Standardised(5)
+    x = frame(6, 7, 3)["samples.descriptor"]
+    wanted = torch.nn.functional.conv2d((x - layer.mean) / layer.deviation, layer.weight, layer.bias)
+    torch.testing.assert_close(layer(x), wanted, rtol=1e-4, atol=1e-4)
+    other = Standardised(5)
+    other.unfold(*layer.folded())
+    torch.testing.assert_close(other.weight, layer.weight)
+    torch.testing.assert_close(other.bias, layer.bias, rtol=1e-4, atol=1e-5)
+
+
 def test_embedding_moments_of_known_values() -> None:
     paths = torch.arange(8.0).reshape(2, 1, 2, 2)  # samples of one 2x2 block: 0..7
     valid = torch.ones((2, 1, 2, 2))
@@ -289,9 +301,11 @@ def test_training_moves_everything_and_resumes_exactly(tmp_path, monkeypatch) ->
         torch.testing.assert_close(resumed["state_dict"][name], value, rtol=0, atol=0, msg=name)
 
 
-def test_a_wider_network_begins_as_the_narrow_one(tmp_path) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize("scaled", [True, False])
+def test_a_wider_network_begins_as_the_narrow_one(tmp_path, scaled: bool) -> None:  # type: ignore[no-untyped-def]
     narrow = fit(TINY, write_data_set(tmp_path / "data"), tmp_path / "narrow", validate_every=1000, threads=1)
-    wide = TINY.model_copy(update={"network": SMALL.model_copy(update={"widths": (24, 16, 32, 40)})})
+    wider = SMALL.model_copy(update={"widths": (24, 16, 32, 40), "scaled": scaled})
+    wide = TINY.model_copy(update={"network": wider})
     torch.manual_seed(1)
     task = Denoising(wide)
     warm_start(task, narrow)

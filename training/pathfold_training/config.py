@@ -38,6 +38,7 @@ class Pyramid(Strict):
     clean: bool = Field(
         False, description="and multiplied by an albedo that the finest kernels clean, where it is noisy"
     )
+    scaled: bool = Field(False, description="descriptors enter the embedding with mean 0 and deviation 1")
 
 
 def family(network: object) -> str:

@@ -25,7 +25,7 @@ from torch.utils.data import DataLoader
 from .config import Config
 from .data import Crops, Stored, ValidationViews
 from .live import Live, LiveViews
-from .networks.pathfold import Pathfold
+from .networks.pathfold import Pathfold, Standardised
 from .store import Line
 from .task import Denoising
 
@@ -154,6 +154,9 @@ def warm_start(task: Denoising, source: Path) -> None:
     for name, value in merged.items():
         owner, _, attribute = name.rpartition(".")
         module = task.get_submodule(owner)
+        if isinstance(module, Standardised):
+            module.unfold(merged[f"{owner}.weight"], merged[f"{owner}.bias"])
+            continue
         with torch.no_grad():
             if parametrize.is_parametrized(module, attribute):
                 setattr(module, attribute, value)  # weight norm finds its two factors
@@ -170,13 +173,16 @@ def fits(value: Tensor, new: Tensor, wider: bool) -> bool:
 
 
 def plain_weights(task: Denoising) -> dict[str, torch.Tensor]:
-    """All weights by name, weight norm multiplied out: what an exported graph holds too."""
+    """All weights by name, weight norm multiplied out and scales folded: what an exported graph holds too."""
     weights: dict[str, torch.Tensor] = {}
     for owner, module in task.named_modules():
         names = [name for name, _ in module.named_parameters(recurse=False)]
         names += list(module.parametrizations) if parametrize.is_parametrized(module) else []
         if not owner.endswith(".parametrizations.weight"):
             weights |= {f"{owner}.{name}": getattr(module, name).detach() for name in names}
+        if isinstance(module, Standardised):
+            folded = zip(("weight", "bias"), module.folded(), strict=True)
+            weights |= {f"{owner}.{name}": value.detach() for name, value in folded}
     return weights
 
 

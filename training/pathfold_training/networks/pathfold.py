@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from ..config import Pyramid
 from ..features import DESCRIPTOR_CHANNELS
-from .embedding import sample_sum
+from .embedding import INPUT_DEVIATION, INPUT_MEAN, sample_sum
 from .kpcn import path_features
 from .reconstruct import COARSEST_LOGITS, LEVEL_LOGITS, gather_finest, gather_pyramid
 
@@ -48,6 +48,36 @@ def block(inputs: int, width: int, count: int) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
+class Standardised(nn.Conv2d):
+    """A 1x1 convolution of descriptors that are brought to mean 0 and deviation 1 first: it learns them sooner.
+
+    `weight` and `bias` belong to the scaled inputs; `folded` gives those for inputs as they are.
+    """
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, outputs: int) -> None:
+        super().__init__(DESCRIPTOR_CHANNELS, outputs, 1)
+        for name, values in (("mean", INPUT_MEAN), ("deviation", INPUT_DEVIATION)):
+            self.register_buffer(name, torch.tensor(values).reshape(1, -1, 1, 1), persistent=False)
+
+    def folded(self) -> tuple[Tensor, Tensor]:
+        """Weight O x 36 x 1 x 1 and bias O."""
+        assert self.bias is not None
+        weight = self.weight / self.deviation
+        return weight, self.bias - (weight * self.mean).sum((1, 2, 3))
+
+    def unfold(self, weight: Tensor, bias: Tensor) -> None:
+        """The reverse: takes what `folded` is to give."""
+        with torch.no_grad():
+            self.weight.copy_(weight * self.deviation)
+            self.bias.copy_(bias + (weight * self.mean).sum((1, 2, 3)))  # type: ignore[union-attr]
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.conv2d(x, *self.folded())
+
+
 class Pathfold(nn.Module):
     """Buffers of B frames (and their samples, image after image) -> trust and kernel logits of every level."""
 
@@ -56,7 +86,7 @@ class Pathfold(nn.Module):
         self.network = network
         widths, counts = network.widths, network.convolutions
         self.sample = nn.Sequential(
-            nn.Conv2d(DESCRIPTOR_CHANNELS, SAMPLE_WIDTH, 1),
+            Standardised(SAMPLE_WIDTH) if network.scaled else nn.Conv2d(DESCRIPTOR_CHANNELS, SAMPLE_WIDTH, 1),
             nn.ReLU(inplace=True),
             nn.Conv2d(SAMPLE_WIDTH, SAMPLE_WIDTH, 1),
             nn.ReLU(inplace=True),

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from ..features import DESCRIPTOR_SCALES, descriptor_logs
 from . import pathfold
-from .pathfold import OPTIONAL, PIXEL_CHANNELS, Pathfold
+from .pathfold import OPTIONAL, PIXEL_CHANNELS, Pathfold, Standardised
 
 
 class EmbeddingGraph(nn.Module):
@@ -25,9 +25,13 @@ class EmbeddingGraph(nn.Module):
     def __init__(self, model: Pathfold) -> None:
         super().__init__()
         self.sample = copy.deepcopy(model.sample)
-        first = self.sample[0]
-        assert isinstance(first, nn.Conv2d)
-        first.weight.data /= torch.tensor(DESCRIPTOR_SCALES).reshape(1, -1, 1, 1)
+        own = self.sample[0]
+        assert isinstance(own, nn.Conv2d) and own.bias is not None
+        weight, bias = own.folded() if isinstance(own, Standardised) else (own.weight, own.bias)
+        first = nn.Conv2d(own.in_channels, own.out_channels, 1)
+        first.weight.data = weight.detach() / torch.tensor(DESCRIPTOR_SCALES).reshape(1, -1, 1, 1)
+        first.bias.data = bias.detach()  # type: ignore[union-attr]
+        self.sample[0] = first
         self.channels = 2 * model.network.embedding + 1
 
     def forward(self, descriptor: Tensor, valid: Tensor, exposure: Tensor) -> Tensor:
