@@ -133,7 +133,7 @@ VARIANTS = (
     Variant(BASELINE, "baseline", {}, all_seeds=True),
     Variant(BASELINE, "baseline, scored without paths", {}, all_seeds=True, paths=False),
     Variant("no-paths", "never any paths", {"data": {"drop_paths": 1.0}}, all_seeds=True, paths=False),
-    Variant("unscaled", "descriptors not scaled", {"network": {"scaled": False}}, all_seeds=True),
+    Variant("unscaled", "descriptors not scaled", {"network": {"scaled": False}}),
     Variant("manifold-low", "manifold loss, lambda 0.00125", {"loss": {"manifold": 0.00125}}),
     Variant("manifold", "manifold loss, lambda 0.0125", {"loss": {"manifold": 0.0125}}, all_seeds=True),
     Variant("manifold-high", "manifold loss, lambda 0.0625", {"loss": {"manifold": 0.0625}}),

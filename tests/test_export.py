@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from pathfold.check.properties import Subject
 from pathfold.check.references import References
 from pathfold.check.run import case_row
 from pathfold.denoising import Denoiser
+from pathfold.report.measure import Measurement
+from pathfold_training.card import write_card
 from pathfold_training.config import Config, Data, Network, Optimiser
 from pathfold_training.data import Batch
 from pathfold_training.export import export, input_shape, load_task
@@ -225,3 +228,25 @@ def test_manifest_and_card_say_how_it_was_made(exported: tuple[Path, Denoising])
     card = (folder / "README.md").read_text()
     assert manifest["name"] in card
     assert manifest["training"]["hardware"] in card
+
+
+def test_a_card_holds_the_errors_that_were_measured(exported: tuple[Path, Denoising], tmp_path: Path) -> None:
+    folder = shutil.copytree(exported[0], tmp_path / "models" / "tiny")
+    name = json.loads((folder / "manifest.json").read_text())["name"]
+    errors = {"noisy": (1.0, 1.0), "oidn": (0.01, 0.02), "oidn-prefiltered": (0.01, 0.02), name: (0.02, 0.06)}
+    lines = [
+        Measurement(scene, 8, seed, method, error[scene == "b"] * (2 - seed * 1.5), 0.1, 0.9, 0.1, [1.0], [1.0])
+        for scene in "ab"
+        for seed in (0, 1)
+        for method, error in errors.items()
+    ]
+    results = tmp_path / "results"
+    results.mkdir()
+    with pytest.raises(ValueError, match=f"no measurement of {name}"):
+        write_card(folder, results)
+    (results / "results.jsonl").write_text("".join(json.dumps(asdict(line)) + "\n" for line in lines))
+    write_card(folder, results)
+    rows = [line for line in (folder / "README.md").read_text().splitlines() if line.startswith(("| [", "| all"))]
+    assert rows[0] == "| [b](../../results/b-8spp.jpg) | 1.0000 | 0.0200 | 0.0200 | 0.0600 | 3.00 |"
+    assert rows[1].startswith("| [a]") and rows[1].endswith("| 2.00 |")
+    assert rows[2].endswith("| 0.0346 | 2.45 |")

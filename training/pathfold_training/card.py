@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from os.path import relpath
+from pathlib import Path
 from typing import Any
 
+PEERS = ("noisy", "oidn", "oidn-prefiltered")
 
-def model_card(manifest: dict[str, Any]) -> str:
-    """Markdown with a YAML head: what the model reads, what it costs, how it was trained and how to do it again."""
+
+def model_card(manifest: dict[str, Any], errors: str = "") -> str:
+    """Markdown with a YAML head: what the model reads, what it costs, how it was trained and how to do it again.
+
+    `errors` is a section of its own, from error_section.
+    """
     training, data = manifest["training"], manifest["training"]["data"]
     config = training["config"]
     optimiser, crops = config["optimiser"], config["data"]
@@ -61,6 +70,44 @@ tags: [monte-carlo-denoising, kernel-prediction]
 | seconds | {seconds[0]:.0f} wall, {seconds[1]:.0f} CPU, all parts of the run |
 | seed, commit | {training["seed"]}, {training["commit"]} |
 
-The commands that train it again are in docs/training.md; errors per scene, pictures and known weaknesses in
-docs/results/. The validation scenes were neither trained nor selected on.
-"""
+The commands that train it again are in docs/training.md; all results and known weaknesses in docs/results/.
+{errors}"""
+
+
+def write_card(folder: Path, results: Path) -> None:
+    """README.md of a model folder, with its errors in the folder that `pathfold-train evaluate` wrote.
+
+    Raises FileNotFoundError without either, ValueError where the model was not evaluated there.
+    """
+    manifest = json.loads((folder / "manifest.json").read_text())
+    section = error_section(manifest["name"], results, relpath(results, folder))
+    (folder / "README.md").write_text(model_card(manifest, section))
+
+
+def error_section(name: str, results: Path, link: str) -> str:
+    """Markdown: RelL2 scene by scene beside the input's and OIDN's, worst against OIDN first, with pictures."""
+    from pathfold.report.results import geometric, read
+
+    rows = list(read(results / "results.jsonl").values())
+    if not any(row.method == name for row in rows):
+        raise ValueError(f"{results} has no measurement of {name}: pathfold-train evaluate SCENES -o {results}")
+    methods = [*PEERS, name]
+
+    def mean(method: str, scenes: Sequence[str]) -> float:
+        return geometric(
+            geometric([row.rell2 for row in rows if (row.method, row.scene) == (method, scene)]) for scene in scenes
+        )
+
+    scenes = sorted({row.scene for row in rows}, key=lambda scene: -mean(name, [scene]) / mean("oidn", [scene]))
+    spp, seeds = rows[0].spp, len({row.seed for row in rows})
+    lines = [f"| scene | {' | '.join(methods)} | / oidn |", "|---" * (len(methods) + 2) + "|"]
+    for title, some in [*((f"[{scene}]({link}/{scene}-{spp}spp.jpg)", [scene]) for scene in scenes), ("all", scenes)]:
+        means = [mean(method, some) for method in methods]
+        lines.append(f"| {title} | {' | '.join(f'{m:.4f}' for m in means)} | {means[-1] / means[1]:.2f} |")
+    return f"""
+## Errors
+
+RelL2 at {spp} spp, geometric mean of {seeds} render seeds, on scenes that were neither trained nor selected on.
+Where it is weakest against OIDN stands first; a name leads to a picture.
+
+""" + "\n".join([*lines, ""])

@@ -1,4 +1,4 @@
-"""`pathfold-train render | dataset | fit | export | evaluate`: each command does its work in the module of its name."""
+"""`pathfold-train render | dataset | fit | export | evaluate | card`: each works in the module of its name."""
 
 from __future__ import annotations
 
@@ -196,6 +196,19 @@ def evaluate(
     from .evaluate import evaluate as run
 
     run(scenes, out, model or list(models.available(models.shipped_directories())), spp=spp, seeds=seeds)
+
+
+@app.command()
+def card(
+    folders: Annotated[list[Path], typer.Argument(metavar="MODEL...", help="model folders")],
+    results: Annotated[Path, typer.Option(help="folder that 'evaluate' wrote")],
+) -> None:
+    """Write model cards anew, with the errors that were measured."""
+    from .card import write_card
+
+    for folder in folders:
+        write_card(folder, results)
+        console.print(f"{folder / 'README.md'}")
 
 
 def main() -> None:
