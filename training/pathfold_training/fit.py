@@ -254,11 +254,11 @@ def start_record(source: Path | None) -> dict | None:
         total = {key: sum(part.get(key, 0) for part in parts) for key in ("steps", "seconds", "cpu_seconds")}
         return {"preset": manifest["name"], "commit": training["commit"], **total}
     state = torch.load(source, map_location="cpu", weights_only=True)
-    return {
-        "preset": state["hyper_parameters"]["config"]["name"],
-        "steps": state["global_step"],
-        **training_seconds(state),
-    }
+    own = {"steps": state["global_step"], **training_seconds(state)}
+    record = source.parent / "record.json"
+    before = json.loads(record.read_text())["started_from"] if record.is_file() else None
+    total = {key: value + (before or {}).get(key, 0) for key, value in own.items()}
+    return {"preset": state["hyper_parameters"]["config"]["name"], **total}
 
 
 def training_seconds(state: dict) -> dict[str, float]:
