@@ -35,7 +35,7 @@ class TrainingSeconds(Callback):
 
     def __init__(self) -> None:
         self.before = 0.0
-        self.start = self.start_cpu = 0.0
+        self.start, self.start_cpu = time.monotonic(), time.process_time()  # kept by a run that is done already
         self.before_cpu = 0.0
 
     def on_train_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
