@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -250,3 +250,7 @@ def test_a_card_holds_the_errors_that_were_measured(exported: tuple[Path, Denois
     assert rows[0] == "| [b](../../results/b-8spp.jpg) | 1.0000 | 0.0200 | 0.0200 | 0.0600 | 3.00 |"
     assert rows[1].startswith("| [a]") and rows[1].endswith("| 2.00 |")
     assert rows[2].endswith("| 0.0346 | 2.45 |")
+    with (results / "results.jsonl").open("a") as file:
+        file.write(json.dumps(asdict(replace(lines[0], spp=2))) + "\n")
+    with pytest.raises(ValueError, match="several spp"):
+        write_card(folder, results)

@@ -77,7 +77,7 @@ The commands that train it again are in docs/training.md; all results and known 
 def write_card(folder: Path, results: Path) -> None:
     """README.md of a model folder, with its errors in the folder that `pathfold-train evaluate` wrote.
 
-    Raises FileNotFoundError without either, ValueError where the model was not evaluated there.
+    Raises FileNotFoundError without a manifest, ValueError where the model was not evaluated at one spp there.
     """
     manifest = json.loads((folder / "manifest.json").read_text())
     section = error_section(manifest["name"], results, relpath(results, folder))
@@ -89,8 +89,11 @@ def error_section(name: str, results: Path, link: str) -> str:
     from pathfold.report.results import geometric, read
 
     rows = list(read(results / "results.jsonl").values())
+    again = f"make it by pathfold-train evaluate SCENES -o {results}"
     if not any(row.method == name for row in rows):
-        raise ValueError(f"{results} has no measurement of {name}: pathfold-train evaluate SCENES -o {results}")
+        raise ValueError(f"{results} has no measurement of {name}: {again}")
+    if len({row.spp for row in rows}) > 1:
+        raise ValueError(f"{results} holds several spp: {again}, which measures at one")
     methods = [*PEERS, name]
 
     def mean(method: str, scenes: Sequence[str]) -> float:
@@ -107,7 +110,7 @@ def error_section(name: str, results: Path, link: str) -> str:
     return f"""
 ## Errors
 
-RelL2 at {spp} spp, geometric mean of {seeds} render seeds, on scenes that were neither trained nor selected on.
-Where it is weakest against OIDN stands first; a name leads to a picture.
+RelL2 at {spp} spp, geometric mean of {seeds} render seeds. Where it is weakest against OIDN stands first; a name leads
+to a picture.
 
 """ + "\n".join([*lines, ""])
