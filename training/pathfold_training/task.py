@@ -121,10 +121,11 @@ class Denoising(lightning.LightningModule):
         image, logits, paths = model.filter(inputs, batch.counts)
         reference = batch.reference["color"] * exposure.reshape(-1, 1, 1, 1)
         exposed = image * exposure.reshape(-1, 1, 1, 1)
-        error = self.image_error(exposed, reference, error_scale(reference))
+        target = batch.reference.get("cleaned", batch.reference["color"]) * exposure.reshape(-1, 1, 1, 1)
+        error = self.image_error(exposed, target, error_scale(target))
         loss = error + self.config.loss.logits * sum(logit_excess(level) for level in logits)
         if self.config.loss.energy > 0.0:
-            energy = energy_error(exposed, reference)
+            energy = energy_error(exposed, reference)  # not against what is cleaned: OIDN darkens by 1 %
             loss = loss + self.config.loss.energy * energy
             self.log("energy", energy, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         if self.config.loss.manifold > 0.0:
