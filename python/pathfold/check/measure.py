@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 _TABLE = tomllib.loads((Path(__file__).parent / "tolerances.toml").read_text(encoding="utf-8"))
 SMALLEST = float(np.finfo(np.float32).tiny)  # below it float32 has no seven digits
+LEAST_SUM = 1e6 * SMALLEST  # nor have products with the pyramid's least weights, exp(-14)
 
 
 def tolerance(name: str, precision: str = "fp32") -> float:
@@ -34,7 +35,7 @@ def relative_error(
     value is not finite.
     """
     right = reference.astype(np.float64)
-    floor = max(SMALLEST, 1e-30 * largest)
+    floor = max(LEAST_SUM, 1e-30 * largest)
     with np.errstate(invalid="ignore"):
         error = np.abs(image.astype(np.float64) - right) / np.maximum(np.abs(right), floor)
     error = np.where(np.isfinite(error), error, np.inf).max(-1)

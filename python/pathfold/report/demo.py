@@ -30,7 +30,7 @@ from pathfold.report.measure import in_turns
 from pathfold.report.reference import Reference
 from pathfold.report.reference import render as render_reference
 
-MODELS = ("kpcn-vanilla", "kpcn-manifold", "pathfold-balanced")
+MODELS = ("kpcn-manifold", "pathfold-fast", "pathfold-balanced", "pathfold-high")
 ROUNDS = 5
 # Where to look closely, as shares of the frame: left, top, width (the height follows).
 CROPS = ((0.15, 0.27, 0.16), (0.54, 0.38, 0.16), (0.71, 0.48, 0.16))
@@ -133,7 +133,7 @@ def notes_of(methods: list[Method], reference: Reference) -> list[str]:
     notes = [
         f"RelL2 is taken against two independent halves of the reference ({reference.spp} spp together), whose own "
         f"noise drops out; the reference's own RelL2 is {own_error:.5f}. The other three see the whole reference.",
-        "Rendering for the OIDN and vanilla rows gives buffers alone; for the manifold and balanced rows it gives path "
+        "Rendering for the OIDN rows gives buffers alone; for the rows of models it gives path "
         "descriptors as well; the second row is Mitsuba's own path tracer with its usual Russian roulette, in the time "
         "of the slowest model. OIDN runs at quality high: with the noisy guides, and with guides prefiltered and "
         "cleanAux.",

@@ -10,8 +10,8 @@ from pathfold.report.curves import pareto, timed
 from pathfold.report.results import ALL, FLAG, FLOOR, Point, names
 
 COLUMN = 3.5  # inches: one column of a two-column page
-# Okabe and Ito's colours, told apart by the colour-blind; yellow, too light on paper, left out.
-COLORS = ("#000000", "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
+# Okabe and Ito's colours, told apart by the colour-blind, without yellow, too light on paper, and with Tol's wine.
+COLORS = ("#000000", "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#882255")
 MARKERS = "osD^vPXh"
 _STYLE: dict[Any, Any] = {
     "font.size": 8,
