@@ -1,5 +1,7 @@
 """References that are learned from without their noise."""
 
+from pathlib import Path
+
 import numpy as np
 from pathfold_training.clean import cleaned
 from pathfold_training.config import Data
@@ -28,7 +30,7 @@ def test_detail_that_both_halves_show_stays() -> None:
     np.testing.assert_allclose(cleaned(detail, detail, *guides(), 1.0), detail, rtol=1e-5, atol=1e-6)
 
 
-def test_crops_carry_the_cleaned_reference_where_the_preset_asks(tmp_path) -> None:
+def test_crops_carry_the_cleaned_reference_where_the_preset_asks(tmp_path: Path) -> None:
     stored = Stored(write_data_set(tmp_path / "data"))
     batch = next(iter(Crops(stored, Data(crop=24, batch=2, spp_max=8, cleaned=True), 3, False)))
     np.testing.assert_allclose(batch.reference["cleaned"], batch.reference["color"], rtol=1e-5)  # halves without noise

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pathfold.report.peers import oidn_prefiltered
 
+from .losses import RELATIVE_EPSILON
+
 REACH = 15  # pixels of the square over which errors are compared
-EPSILON = 0.01  # RelL2's, in exposed units
 
 Image = NDArray[np.float32]
 
@@ -15,13 +16,14 @@ Image = NDArray[np.float32]
 def cleaned(a: Image, b: Image, albedo: Image, normal: Image, exposure: float) -> Image:
     """The mean of two independent, equally noisy halves, denoised by OIDN where that brings it nearer the truth.
 
-    All [3, H, W], linear. Each denoised half is compared with the other, raw one: the expected square of their
+    a, b: linear radiance [3, H, W]; albedo, normal [3, H, W], noisy or clean; all finite. `exposure` brings radiance to
+    the units of RelL2's epsilon. Each denoised half is compared with the other, raw one: the expected square of their
     difference is the denoised one's error plus the raw one's variance. Where OIDN blurs what the halves agree on,
-    their mean stays.
+    their mean stays. Raises ModuleNotFoundError without pyoidn.
     """
     mean: Image = (a + b) * np.float32(0.5)
     result = denoised(mean, albedo, normal)
-    scale = np.square(result) + EPSILON / exposure**2
+    scale = np.square(result) + RELATIVE_EPSILON / exposure**2
     variance = np.square(a - b) / 2
     crossed = sum(np.square(denoised(x, albedo, normal) - y) for x, y in ((a, b), (b, a))) / 2
     bias = np.maximum(box((crossed - variance) / scale), 0.0)
@@ -37,7 +39,7 @@ def denoised(*images: Image) -> Image:
 
 
 def box(x: Image) -> Image:
-    """Means over the channels of [3, H, W] and squares of REACH pixels, cut at the borders -> [H, W]."""
+    """Means over the channels of [3, H, W] and squares of REACH pixels, mirrored at the borders -> [H, W]."""
     total = np.pad(x.mean(0, dtype=np.float64), REACH // 2, "reflect")
     for axis in (0, 1):
         total = np.lib.stride_tricks.sliding_window_view(total, REACH, axis).mean(-1)

@@ -130,7 +130,7 @@ class Denoising(lightning.LightningModule):
             self.log("energy", energy, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         if self.config.loss.manifold > 0.0:
             pairs = self.config.loss.manifold_pairs
-            manifold = manifold_loss(paths, tone_map(reference), batch.counts, pairs, self.generator, **self.sharing())
+            manifold = manifold_loss(paths, tone_map(target), batch.counts, pairs, self.generator, **self.sharing())
             loss = loss + self.config.loss.manifold * manifold
             self.log("manifold", manifold, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         self.log("image", error, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
