@@ -15,7 +15,7 @@ import numpy as np
 from onnxruntime import InferenceSession, SessionOptions
 from pathfold.report.results import geometric
 from pathfold_training.data import Stored, ValidationViews
-from pathfold_training.quantise import FILE, Feeds, network_feeds, quantised_copy, ratios
+from pathfold_training.quantise import FILE, Feeds, network_feeds, quantised_copy, ratios, trained_as
 
 
 def seconds(path: Path, feeds: Feeds, runs: int) -> float:
@@ -44,11 +44,12 @@ def main() -> None:
     data, source = Stored(options.data), options.model / "network.onnx"
     held_out = data.held_out()
     picked = held_out[:: max(1, len(held_out) // options.views)][: options.views]
+    paths = trained_as(options.model).network.path_samples
     with tempfile.TemporaryDirectory() as scratch:
         folder = quantised_copy(options.model, Path(scratch), data, options.crops, options.fp32, options.percentile)
-        found = {spp: ratios(folder, ValidationViews(picked, True, spp)) for spp in options.spp}
+        found = {spp: ratios(folder, ValidationViews(picked, paths, spp)) for spp in options.spp}
         sessions = [InferenceSession(options.model / name) for name in ("embedding.onnx", source.name)]
-        feeds = network_feeds(ValidationViews(picked, True, options.spp[0])[0].inputs, *sessions)
+        feeds = network_feeds(ValidationViews(picked, paths, options.spp[0])[0].inputs, *sessions)
         large = {name: value if value.ndim == 1 else np.tile(value, (1, 1, 2, 3)) for name, value in feeds.items()}
         times = [seconds(path, large, 5) for path in (source, folder / FILE)]
         size = (folder / FILE).stat().st_size / 1e6

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from pathfold.report.reference import Reference
-from pathfold_training.config import Data, Optimiser, load_preset
+from pathfold_training.config import ALL_SAMPLES, Data, Optimiser, load_preset
 from pathfold_training.data import ValidationViews, View
 from pathfold_training.score import scene_mean
 from pathfold_training.store import Store
@@ -69,7 +69,7 @@ def test_every_network_trains_and_keeps_a_constant(run: str, tmp_path: Path) -> 
 
 
 def views_inputs(view: View) -> dict[str, torch.Tensor]:
-    inputs = ValidationViews([view], True, 2)[0].inputs
+    inputs = ValidationViews([view], ALL_SAMPLES, 2)[0].inputs
     return inputs | {"radiance": inputs["color"]}
 
 

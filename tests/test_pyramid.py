@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from pathfold_training.config import Config, Data, Loss, Optimiser, Pyramid, load_preset
+from pathfold_training.config import ALL_SAMPLES, Config, Data, Loss, Optimiser, Pyramid, load_preset
 from pathfold_training.data import Crops, Stored
 from pathfold_training.fit import fit, warm_start
 from pathfold_training.networks.pathfold import (
@@ -266,7 +266,7 @@ def test_presets_keep_their_budget(name: str, low: float, high: float) -> None:
 
 def test_absent_paths_are_one_invalid_sample(tmp_path) -> None:  # type: ignore[no-untyped-def]
     data = write_data_set(tmp_path / "data")
-    batch = next(iter(Crops(Stored(data), TINY.data.model_copy(update={"drop_paths": 1.0}), seed=0, paths=True)))
+    batch = next(iter(Crops(Stored(data), TINY.data.model_copy(update={"drop_paths": 1.0}), seed=0, paths=ALL_SAMPLES)))
     assert batch.counts == [1, 1]
     assert batch.inputs["paths.present"].tolist() == [0.0, 0.0]
     assert batch.inputs["samples.valid"].abs().max() == 0.0

@@ -11,10 +11,11 @@ import onnx
 import onnxruntime
 import pytest
 import torch
+from pathfold.check import check_model
 from pathfold.check.measure import drift, relative_error, tolerance
 from pathfold.denoising import Denoiser
 from pathfold_training import needs, quantise
-from pathfold_training.config import Config, Data, Optimiser, Pyramid
+from pathfold_training.config import ALL_SAMPLES, Config, Data, Optimiser, Pyramid
 from pathfold_training.data import Batch, Stored, ValidationViews
 from pathfold_training.export import export, load_task
 from pathfold_training.fit import fit, folder_weights
@@ -323,6 +324,31 @@ def test_paths_are_left_out_by_name_where_the_manifest_says_so(
         assert ("samples.descriptor" in left_out.report["inputs"]["unused"]) == (samples == 3)
 
 
+def test_no_more_samples_are_embedded_than_the_manifest_says(
+    exported: tuple[Path, Denoising], tmp_path: Path
+) -> None:
+    folder = shutil.copytree(exported[0], tmp_path / "model")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["samples_per_pixel"]["embedded"] = 2
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    buffers = frame(20, 24, 3, seed=8)
+    descriptor = buffers.pop("samples.descriptor")
+    given = Denoiser(folder).run(**buffers, samples={"descriptor": descriptor})
+    first = Denoiser(exported[0]).run(**buffers, samples={"descriptor": descriptor[:2]}, samples_per_pixel=3)
+    np.testing.assert_array_equal(given.color, first.color)
+    assert given.report["samples_per_pixel"] == 3
+    assert "path samples from 3 on" in [line["what"] for line in given.report["left_out"]]
+    assert not first.report["left_out"]
+
+
+def test_an_export_says_how_many_samples_were_embedded(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"network": CONFIG.network.model_copy(update={"embedded": 1})})
+    checkpoint = fit(config, write_data_set(tmp_path / "data"), tmp_path / "run", validate_every=1000, threads=1)
+    folder = export(checkpoint, tmp_path / "model", json.loads((tmp_path / "run" / "record.json").read_text()))
+    assert json.loads((folder / "manifest.json").read_text())["samples_per_pixel"]["embedded"] == 1
+    assert check_model(folder).passed
+
+
 def test_from_which_spp_on_paths_can_go_is_measured(exported: tuple[Path, Denoising], tmp_path: Path) -> None:
     assert needs.least([2, 4, 8], [1.5, 1.01, 1.02]) == 4
     assert needs.least([2, 4, 8], [1.0, 1.5, 1.0]) == 8
@@ -332,4 +358,4 @@ def test_from_which_spp_on_paths_can_go_is_measured(exported: tuple[Path, Denois
     blind.model.first.weight.data[:, 4 * PIXEL_CHANNELS :] = 0  # sees nothing of the embedding
     blind.model.presence.weight.data.zero_()
     assert needs.samples_without_paths(blind, views) == 2
-    assert needs.ratio(exported[1], ValidationViews(views, True, 2)) != 1
+    assert needs.ratio(exported[1], ValidationViews(views, ALL_SAMPLES, 2)) != 1

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pathfold_training.config import Config, Data, Loss, Network, Optimiser
+from pathfold_training.config import ALL_SAMPLES, Config, Data, Loss, Network, Optimiser
 from pathfold_training.data import Crops, Stored, augment, frame_inputs, reduce_samples
 from pathfold_training.export import export
 from pathfold_training.fit import checkpoint_weights, fit, start_record
@@ -114,12 +114,12 @@ def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path)
 
 def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:
     stored = Stored(data_set)
-    first = [batch for batch, _ in zip(Crops(stored, TINY.data, seed=5, paths=True), range(3), strict=False)]
-    again = next(iter(Crops(stored, TINY.data, seed=5, paths=True, skip=2)))
+    first = [batch for batch, _ in zip(Crops(stored, TINY.data, seed=5, paths=ALL_SAMPLES), range(3), strict=False)]
+    again = next(iter(Crops(stored, TINY.data, seed=5, paths=ALL_SAMPLES, skip=2)))
     assert again.counts == first[2].counts
     for name, value in again.inputs.items():
         torch.testing.assert_close(value, first[2].inputs[name], rtol=0, atol=0)
-    other = next(iter(Crops(stored, TINY.data, seed=6, paths=True)))
+    other = next(iter(Crops(stored, TINY.data, seed=6, paths=ALL_SAMPLES)))
     assert not torch.equal(other.reference["color"], first[0].reference["color"])
 
 

@@ -222,7 +222,8 @@ void Denoiser::Run::denoise(const Tile &tile, size_t index) {
     report_.times.write += watch_.lap();
 }
 
-/// Brings the frame's samples through the model's embedding, in parts that stay in the caches.
+/// Brings the frame's first samples, as many as the model wants, through its embedding, in parts that stay in
+/// the caches.
 void Denoiser::Run::embed() {
     constexpr int64_t part = 16 * 1024; // samples, for each thread
     Embedding &embedding = denoiser_.embedding_;
@@ -232,7 +233,7 @@ void Denoiser::Run::embed() {
     if (!frame_.has("samples.descriptor"))
         return;
     const Session &session = model_.session("embedding");
-    const int64_t spp = frame_.samples(), most = part * std::min(model_.threads(), 16);
+    const int64_t spp = std::min(frame_.samples(), manifest_.embedded_samples), most = part * std::min(model_.threads(), 16);
     const int step = Embedding::alignment;
     const int rows = int(std::max<int64_t>(1, most / (width * spp * step))) * step;
     const int64_t count = std::clamp<int64_t>(most / (int64_t(width) * rows), 1, spp);
@@ -537,6 +538,9 @@ void Denoiser::Run::report_inputs() {
     if (!frame_.has("samples.descriptor") || !manifest_.reads("samples.descriptor"))
         return;
     const ImageView &view = frame_.input("samples.descriptor");
+    if (const int64_t most = manifest_.embedded_samples; most < view.samples())
+        report_.left_out.push_back({text("path samples from ", most + 1, " on"),
+                                    text("the model looks at the paths of ", most, " samples per pixel")});
     if (const int vertices = vertices_of(view.channels()); vertices < descriptor_vertices)
         report_.left_out.push_back({text("path vertices from ", vertices + 1, " on"),
                                     "no path of the frame has them: they are not given",

@@ -449,9 +449,14 @@ Manifest Manifest::parse(const std::string &text) {
     // a trusted pixel's own number is read wherever a kernel reaches
     const bool trust = manifest.trust || manifest.pyramid;
     manifest.tile_overlap = int(tile.at("overlap").integer(trust ? manifest.reach() : 0, 4096));
-    const Field samples = root.at("samples_per_pixel").keys({"min", "max", "without_paths"});
+    const Field samples = root.at("samples_per_pixel").keys({"min", "max", "embedded", "without_paths"});
     manifest.min_samples = samples.at("min").integer(1, 1 << 30);
     manifest.max_samples = samples.at("max").integer(manifest.min_samples, 1 << 30);
+    if (samples.has("embedded")) {
+        if (manifest.embedding_channels == 0)
+            samples.at("embedded").wrong("left out in a model without graphs.embedding");
+        manifest.embedded_samples = samples.at("embedded").integer(1, 1 << 30);
+    }
     if (samples.has("without_paths"))
         manifest.without_paths = samples.at("without_paths").integer(1, 1 << 30);
     root.at("precision").one_of({"fp32"});

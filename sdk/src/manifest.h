@@ -51,6 +51,7 @@ struct Manifest {
     float exposure_key = 0.18f;
     int tile_alignment = 1, tile_overlap = 0;
     int64_t min_samples = 1, max_samples = 1;
+    int64_t embedded_samples = 1 << 30; ///< the most samples of a pixel that the graph "embedding" is to see
     int64_t without_paths = 0; ///< samples per pixel from which on it does as well without paths; 0: unknown
 
     const Branch &unsplit_branch() const;

@@ -75,6 +75,8 @@ TEST(Manifest, AnEmbeddingSeesSamplesAndIsReadAsWideAsItIs) {
                  "samples' buffers");
     expect_wrong(changed("/graphs/embedding/outputs/embedding", Json::array({1})), "[1, channels, H/2, W/2]");
     expect_wrong(changed("/reconstruction/branches/0/graph", "embedding"), "names the graph embedding");
+    EXPECT_EQ(Manifest::parse(changed("/samples_per_pixel/embedded", 2)).embedded_samples, 2);
+    expect_wrong(changed("/samples_per_pixel/embedded", 0), "samples_per_pixel.embedded is 0");
     expect_wrong(changed("/tile/alignment", 8), "tile.alignment is 8", "a multiple of 16");
     json["graphs"].erase("embedding");
     expect_wrong(json.dump(), "graphs.embedding is missing");
@@ -106,6 +108,7 @@ TEST(Manifest, ComplaintsNameTheKey) {
     expect_wrong(with("/reconstruction/trust", 1), "reconstruction.trust is 1");
     expect_wrong(with("/samples_per_pixel/max", 0), "samples_per_pixel.max");
     expect_wrong(with("/samples_per_pixel/without_paths", 0), "samples_per_pixel.without_paths");
+    expect_wrong(with("/samples_per_pixel/embedded", 2), "samples_per_pixel.embedded", "graphs.embedding");
     expect_wrong(with("/exposure/key", 1e9), "exposure.key");
     expect_wrong(with("/name", ""), "name is \"\"", "not empty");
     expect_wrong(with("/requires", {"color", "color"}), "requires[1]", "once");

@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
+ALL_SAMPLES = 1 << 30
+
 
 class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -26,6 +28,11 @@ class Network(Strict):
     embedding: int = Field(0, ge=0, description="C: channels of the path embedding; 0 for kpcn-vanilla")
     embedding_width: int = Field(16, ge=4, description="channels of F's top level; 2 and 4 times that below")
 
+    @property
+    def path_samples(self) -> int:
+        """The most samples of a pixel whose paths the network looks at."""
+        return ALL_SAMPLES if self.embedding else 0
+
 
 class Pyramid(Strict):
     """The pathfold family's sizes, from half resolution down to 1/16."""
@@ -34,11 +41,17 @@ class Pyramid(Strict):
     widths: tuple[int, int, int, int] = Field((64, 96, 128, 160), description="channels per level")
     convolutions: tuple[int, int, int, int] = Field((3, 2, 2, 2), description="per level, the same on the way back up")
     embedding: int = Field(8, ge=1, description="C: channels of the path embedding")
+    embedded: int = Field(0, ge=0, description="the most samples of a pixel that are embedded; 0 for all of them")
     demodulate: bool = Field(True, description="radiance is divided by the noisy albedo while it is filtered")
     clean: bool = Field(
         False, description="and multiplied by an albedo that the finest kernels clean, where it is noisy"
     )
     scaled: bool = Field(False, description="descriptors enter the embedding with mean 0 and deviation 1")
+
+    @property
+    def path_samples(self) -> int:
+        """The most samples of a pixel whose paths the network looks at."""
+        return self.embedded or ALL_SAMPLES
 
 
 def family(network: object) -> str:

@@ -103,10 +103,10 @@ class View:
         most = max(0, self.side - size)
         return int(np.clip(y - size // 2, 0, most)), int(np.clip(x - size // 2, 0, most))
 
-    def crop(self, y: int, x: int, size: int, first: int, count: int, paths: bool) -> tuple[Inputs, Inputs]:
+    def crop(self, y: int, x: int, size: int, first: int, count: int, paths: int) -> tuple[Inputs, Inputs]:
         """Samples [first, first + count) and references of the crop: tensors S x C x h x w and C x h x w, float32.
 
-        Path descriptors are read only where `paths` asks for them, and stay float16. Non-finite samples count as black.
+        Path descriptors are read of the first `paths` samples and stay float16. Non-finite samples count as black.
         """
 
         def read(name: str, *index: Any) -> Tensor:
@@ -114,12 +114,16 @@ class View:
             return values if name == "samples.descriptor" else values.float()
 
         inside = slice(y, min(y + size, self.side)), slice(x, min(x + size, self.side))
-        samples = self.number, slice(first, first + count), slice(None), *inside
+        samples, described = (
+            (self.number, slice(first, first + n), slice(None), *inside) for n in (count, min(count, paths))
+        )
         whole = (
             slice(None),
             *(slice(s.start + o, s.stop + o) for s, o in zip(inside, (self.top, self.left), strict=True)),
         )
-        inputs = {name: read(name, *samples) for name in (*SAMPLE_NAMES, *(PATH_NAMES if paths else ()))}
+        inputs = {name: read(name, *samples) for name in SAMPLE_NAMES}
+        if paths > 0:
+            inputs |= {name: read(name, *described) for name in PATH_NAMES}
         return inputs, {name.removeprefix("reference."): read(name, *whole) for name in REFERENCE_NAMES}
 
 
@@ -145,7 +149,8 @@ def reduce_samples(samples: Inputs) -> Inputs:
 class Crops(IterableDataset):
     """An endless stream of training Batches, each mixed from all views; the same seed gives the same stream.
 
-    `views` gives the views to draw from at a step. Of `processes` that train together each draws its share of every
+    `views` gives the views to draw from at a step, `paths` is of how many samples of a pixel descriptors are read at
+    most. Of `processes` that train together each draws its share of every
     batch; the shares together are what one process would draw.
     """
 
@@ -154,7 +159,7 @@ class Crops(IterableDataset):
         views: Callable[[int], Sequence[View]],
         data: Data,
         seed: int,
-        paths: bool,
+        paths: int,
         skip: int = 0,
         process: int = 0,
         processes: int = 1,
@@ -188,9 +193,9 @@ class Crops(IterableDataset):
 
 
 class ValidationViews(Dataset):
-    """Whole held-out windows at a fixed number of samples, all inputs present, one Batch each."""
+    """Whole held-out windows at a fixed number of samples, all inputs present, one Batch each; `paths` as of Crops."""
 
-    def __init__(self, views: Sequence[View], paths: bool, spp: int = 8) -> None:
+    def __init__(self, views: Sequence[View], paths: int, spp: int = 8) -> None:
         self.views, self.paths, self.spp = views, paths, spp
 
     def __len__(self) -> int:
@@ -207,7 +212,7 @@ def frame_inputs(samples: Inputs, exposure: float, depth_scale: float) -> Inputs
     n = samples["samples.radiance"].shape[0]
     inputs = reduce_samples(samples)
     inputs |= {name: samples[name].float() for name in PATH_NAMES if name in samples}
-    inputs["samples.valid"] = torch.ones_like(samples["samples.depth"])
+    inputs["samples.valid"] = torch.ones_like(samples.get("samples.density", samples["samples.depth"]))
     inputs["exposure"], inputs["depth_scale"] = torch.tensor(exposure), torch.tensor(depth_scale)
     for name in OPTIONAL:
         inputs[f"{name}.present"] = torch.tensor(0.0 if name == "variance" and n < 2 else 1.0)

@@ -156,6 +156,8 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False, 
     else:
         own = write_branches(task.model, out, standalone)
     manifest = describe(task, state, own, record)
+    if isinstance(task.model, Pathfold) and (most := task.model.network.embedded):
+        manifest["samples_per_pixel"]["embedded"] = most
     for variant in out.glob("*.int8.onnx"):
         variant.unlink()  # of what the folder held before
     if held_out and isinstance(task.model, Pathfold) and (spp := samples_without_paths(task.eval(), held_out)):

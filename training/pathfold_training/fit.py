@@ -110,7 +110,7 @@ def fit(
         ],
         enable_model_summary=False,
     )
-    paths = config.network.embedding > 0
+    paths = config.network.path_samples
     process = {"process": trainer.global_rank, "processes": trainer.world_size}
     views = LiveViews(data, seed, **process) if isinstance(data, Live) else Stored(data)
     held_out = views.held_out()

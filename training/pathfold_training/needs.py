@@ -21,7 +21,8 @@ def samples_without_paths(task: Denoising, views: Sequence[View]) -> int | None:
     """
     most = min(view.samples for view in views)
     levels = [2**i for i in range(1, int(math.log2(most)) + 1)]
-    return least(levels, [ratio(task, ValidationViews(views, True, spp)) for spp in levels])
+    paths = task.config.network.path_samples
+    return least(levels, [ratio(task, ValidationViews(views, paths, spp)) for spp in levels])
 
 
 def least(levels: Sequence[int], ratios: Sequence[float]) -> int | None:

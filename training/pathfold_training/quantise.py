@@ -46,7 +46,8 @@ def add_int8(folder: Path, data: Stored) -> str:
         trial = quantised_copy(folder, Path(scratch), data)
         every = data.held_out()
         views = every[:: -(-len(every) // VIEWS)]
-        error = geometric([ratio for spp in SPPS for ratio in ratios(trial, ValidationViews(views, True, spp))])
+        paths = trained_as(trial).network.path_samples
+        error = geometric([ratio for spp in SPPS for ratio in ratios(trial, ValidationViews(views, paths, spp))])
         size = sum(path.stat().st_size for path in trial.glob("*.onnx"))
         said = f"RelL2 {error:.4f} times that of fp32 on {len(views)} held-out views"
         if not error <= BOUND:
@@ -115,9 +116,15 @@ class Calibration(CalibrationDataReader):
 def calibration_feeds(folder: Path, manifest: dict[str, Any], data: Stored, crops: int) -> Iterator[Feeds]:
     """The graph's inputs of augmented training crops, as the model was trained on them."""
     sessions = [InferenceSession(folder / manifest["graphs"][name]["file"]) for name in ("embedding", GRAPH)]
-    config = Config.model_validate(manifest["training"]["config"]).data.model_copy(update={"batch": 1})
-    for batch in islice(Crops(data, config, seed=0, paths=True), crops):
+    config = trained_as(folder)
+    single = config.data.model_copy(update={"batch": 1})
+    for batch in islice(Crops(data, single, seed=0, paths=config.network.path_samples), crops):
         yield network_feeds(batch.inputs, *sessions)
+
+
+def trained_as(folder: Path) -> Config:
+    """The configuration that a model folder's network was trained with."""
+    return Config.model_validate(json.loads((folder / "manifest.json").read_text())["training"]["config"])
 
 
 def network_feeds(inputs: Inputs, embedding: InferenceSession, network: InferenceSession) -> Feeds:

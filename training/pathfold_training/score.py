@@ -28,7 +28,7 @@ def score(task: Denoising, views: Sequence[View], spp: int = 8, paths: bool = Tr
     Scenes weigh alike, however many windows each has. `paths` False takes the descriptors away from a network that
     could use them.
     """
-    frames = ValidationViews(views, task.config.network.embedding > 0, spp)
+    frames = ValidationViews(views, task.config.network.path_samples, spp)
     logs = []
     with torch.no_grad():
         for index in range(len(frames)):

@@ -63,6 +63,9 @@ def prepare(buffers: Buffers, manifest: dict[str, Any]) -> Prepared:
     cap = min(1e30 / exposure, 1e32)
     depth_scale = find_depth_scale(double.get("depth", np.zeros(0))) if reads(manifest, "depth") else 1.0
     shared = guides(double, split) | samples(double, valid.shape)
+    spp = shared["samples.valid"].shape[0] if "samples.descriptor" in double else 0
+    embedded = manifest["samples_per_pixel"].get("embedded")
+    shared |= {name: shared[name][:embedded] for name in shared if name.startswith("samples.")}
     shared |= {"exposure": np.array([exposure]), "depth_scale": np.array([depth_scale])}
     shared["split.present"] = np.array([float(split)])
     shared["paths.present"] = np.array([float("samples.descriptor" in double)])
@@ -74,7 +77,6 @@ def prepare(buffers: Buffers, manifest: dict[str, Any]) -> Prepared:
             factor = guide(double[by], by) + branch["demodulate"]["epsilon"]
         values = np.minimum(values, cap)
         variance = double.get("variance" if name == "color" else f"{name}.variance")
-        spp = shared["samples.valid"].shape[0] if "samples.descriptor" in double else 0
         own = {
             "radiance": values,
             "variance": guide(np.zeros_like(values) if variance is None else variance, "variance"),
