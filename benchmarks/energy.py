@@ -58,10 +58,10 @@ def measure(
 ) -> dict[str, Any]:
     """The summary of every method on one scene at one spp."""
     reference = subject.reference(0, lambda done: None)
-    described = any(candidate.reads_paths for candidate, _ in methods.values())
+    recorded = {candidate.path_samples for candidate, _ in methods.values()}
     spreads = {name: Spread() for name in methods}
     for seed in seeds:
-        shot = subject.shoot(0, spp, seed, described, reference.size, False)
+        shot = subject.shoot(0, spp, seed, recorded, reference.size, False)
         for name, (candidate, run) in methods.items():
             read = {buffer: shot.buffers[buffer] for buffer in candidate.reads & shot.buffers.keys()}
             spreads[name].add(run(read, None), reference)

@@ -95,7 +95,7 @@ def measure(scene: Any, spp: int, rounds: int) -> dict[str, float]:
     runs: dict[str, Callable[[int], Any]] = {
         "path": lambda seed: np.array(mi.render(scene, integrator=path, spp=spp, seed=seed)),
         "trace": lambda seed: trace(scene, spp=spp, seed=seed, max_depth=MAX_DEPTH),
-        "plain": lambda seed: trace(scene, spp=spp, seed=seed, max_depth=MAX_DEPTH, descriptors=False),
+        "plain": lambda seed: trace(scene, spp=spp, seed=seed, max_depth=MAX_DEPTH, recorded=0),
         "mean": lambda seed: trace_mean(scene, spp=spp, seed=seed, max_depth=MAX_DEPTH),
     }
     times: dict[str, list[float]] = {name: [] for name in runs}

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from pathfold.channels.samples import ALL_SAMPLES
 from pathfold.report.reference import Reference
-from pathfold_training.config import ALL_SAMPLES, Data, Optimiser, load_preset
+from pathfold_training.config import Data, Optimiser, load_preset
 from pathfold_training.data import ValidationViews, View
 from pathfold_training.score import scene_mean
 from pathfold_training.store import Store

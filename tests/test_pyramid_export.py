@@ -11,11 +11,12 @@ import onnx
 import onnxruntime
 import pytest
 import torch
+from pathfold.channels.samples import ALL_SAMPLES
 from pathfold.check import check_model
 from pathfold.check.measure import drift, relative_error, tolerance
 from pathfold.denoising import Denoiser
 from pathfold_training import needs, quantise
-from pathfold_training.config import ALL_SAMPLES, Config, Data, Optimiser, Pyramid
+from pathfold_training.config import Config, Data, Optimiser, Pyramid
 from pathfold_training.data import Batch, Stored, ValidationViews
 from pathfold_training.export import export, load_task
 from pathfold_training.fit import fit, folder_weights
@@ -324,9 +325,7 @@ def test_paths_are_left_out_by_name_where_the_manifest_says_so(
         assert ("samples.descriptor" in left_out.report["inputs"]["unused"]) == (samples == 3)
 
 
-def test_no_more_samples_are_embedded_than_the_manifest_says(
-    exported: tuple[Path, Denoising], tmp_path: Path
-) -> None:
+def test_no_more_samples_are_embedded_than_the_manifest_says(exported: tuple[Path, Denoising], tmp_path: Path) -> None:
     folder = shutil.copytree(exported[0], tmp_path / "model")
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest["samples_per_pixel"]["embedded"] = 2

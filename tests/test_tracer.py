@@ -158,10 +158,26 @@ def test_a_seed_gives_identical_arrays(scene: Any) -> None:
     first, again, other = (trace(scene, spp=4, seed=seed) for seed in (9, 9, 10))
     for name, values in vars(first).items():
         np.testing.assert_array_equal(values, getattr(again, name), err_msg=name)
-    plain = trace(scene, spp=4, seed=9, descriptors=False)
+    plain = trace(scene, spp=4, seed=9, recorded=0)
     assert plain.descriptor is None
     np.testing.assert_array_equal(plain.radiance, first.radiance)
     assert (first.radiance != other.radiance).mean() > 0.5
+
+
+@only(scenes.room)
+def test_paths_are_recorded_of_the_first_samples_alone(scene: Any) -> None:
+    part = trace(scene, spp=64, seed=9, recorded=2)
+    few = trace(scene, spp=2, seed=9)
+    for name in ("descriptor", "density", "overlong"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(few, name), err_msg=name)
+    for name in ("radiance", "diffuse", "normal", "depth"):
+        values = getattr(part, name)
+        assert values.shape[0] == 64
+        np.testing.assert_array_equal(values[:2], getattr(few, name), err_msg=name)
+    assert (part.radiance[2:4] != few.radiance).mean() > 0.5  # other samples, not the first ones again
+    expected, variance = moments(trace(scene, spp=64, seed=5).radiance)
+    got, spread = moments(part.radiance)
+    assert (np.abs(got - expected) < SIGMA * np.sqrt(variance + spread)).all()
 
 
 @only(scenes.room)

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pathfold_training.config import ALL_SAMPLES, Config, Data, Loss, Network, Optimiser
+from pathfold.channels.samples import ALL_SAMPLES
+from pathfold_training.config import Config, Data, Loss, Network, Optimiser
 from pathfold_training.data import Crops, Stored, augment, frame_inputs, reduce_samples
 from pathfold_training.export import export
 from pathfold_training.fit import checkpoint_weights, fit, start_record

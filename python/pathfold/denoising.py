@@ -100,7 +100,8 @@ class Denoiser:
         in [-1, 1]; `depth` > 0, 0 on a miss; `alpha` in [0, 1]; the variances are those of the pixel mean.
         `samples`: {"descriptor": S x H x W x 36, "density": S x H x W x 1, "valid": S x H x W x 1
         (optional)}; the descriptor may have 6 + 5 * vertices channels where no path has 6 vertices.
-        `samples_per_pixel` of the frame, 0: as many as there are in `samples`.
+        `samples_per_pixel` of the frame, 0: as many as there are in `samples`, which may hold the first ones alone
+        (a manifest's `samples_per_pixel.embedded` says how many a model looks at).
         `layers`: AOVs to filter alike, {"key light": {"color": ...}} or {..: {"diffuse": ..., "specular":
         ...}}. Give `diffuse`, `specular` and `diffuse_albedo` to models that
         filter the two apart (the kpcn ones), else `color`.

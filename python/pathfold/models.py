@@ -9,6 +9,8 @@ import os
 from pathlib import Path
 from typing import Any
 
+from pathfold.channels.samples import ALL_SAMPLES
+
 DEFAULT = "pathfold-balanced"  # a third of the time of kpcn-vanilla, the other one that needs nothing but color
 
 _PACKAGE = Path(__file__).parent
@@ -78,6 +80,21 @@ def inputs(name: str | os.PathLike[str]) -> set[str]:
     """All buffers that a model reads: those that it requires and those that it can use."""
     entry = manifest(name)
     return {*entry["requires"], *entry["uses"]}
+
+
+def path_samples(name: str | os.PathLike[str]) -> int:
+    """The most samples of a pixel whose paths a model looks at: 0 where it reads none, ALL_SAMPLES without a limit."""
+    entry = manifest(name)
+    if not any(buffer.startswith("samples.") for buffer in (*entry["requires"], *entry["uses"])):
+        return 0
+    counts = entry.get("samples_per_pixel")
+    limit = counts.get("embedded") if isinstance(counts, dict) else None
+    return limit if isinstance(limit, int) and limit > 0 else ALL_SAMPLES
+
+
+def shipped_path_samples() -> int:
+    """The most that any model that comes with pathfold looks at."""
+    return max((path_samples(folder) for folder in available(shipped_directories()).values()), default=0)
 
 
 def shipped_inputs() -> set[str]:

@@ -47,11 +47,12 @@ def trace(
     rr_depth: int | None,
     reads: Collection[str],
     bar: Callable[[float], None],
+    recorded: int,
 ) -> LeanFrame:
     """`Camera.trace` of what a model reads, without what the scene and the frame do not need."""
     unneeded = of_scene(camera.scene, spp, reads)
     wanted = set(reads).difference(*(one.names for one in unneeded))
-    buffers, samples, dropped = camera.trace(spp, seed, max_depth, rr_depth, wanted, bar)
+    buffers, samples, dropped = camera.trace(spp, seed, max_depth, rr_depth, wanted, bar, recorded)
     unneeded += of_frame(buffers)
     kept = {name: pixels for name, pixels in buffers.items() if not any(name in one.names for one in unneeded)}
     samples, trimmed = trim_vertices(samples)

@@ -66,17 +66,19 @@ class Camera:
         rr_depth: int | None,
         wanted: set[str],
         bar: Callable[[float], None],
+        recorded: int = sample_names.ALL_SAMPLES,
     ) -> tuple[Block, Block, int]:
         """Per-pixel buffers and the block of samples, those that are wanted, and the number of samples dropped.
 
-        What is not wanted is not made; a path of `max_depth` scatters one time less, and so many vertices it gets.
+        What is not wanted is not made, and the block holds the first `recorded` samples of a pixel alone. A path of
+        `max_depth` scatters one time less, and so many vertices it gets.
         The picture is traced in bands of rows, so that memory goes with the block and not with what Mitsuba holds.
         """
         from pathfold.mitsuba import trace
 
         width, height = self.size
         rows = max(1, min(height, BAND_SAMPLES // (width * spp)))
-        described = any(name.startswith("samples.") for name in wanted)
+        recorded = min(recorded, spp) if any(name.startswith("samples.") for name in wanted) else 0
         vertices = sample_names.VERTICES if max_depth < 0 else min(sample_names.VERTICES, max(max_depth - 1, 1))
         means_of = {name for name in wanted if name in BUFFERS} | {*_BEAUTY}
         unneeded = unneeded_fields(wanted)
@@ -94,7 +96,7 @@ class Camera:
                     band_seed,
                     max_depth,
                     self._sensor,
-                    described,
+                    recorded,
                     rr_depth,
                     vertices=vertices,
                     leave_out=unneeded,
@@ -110,10 +112,10 @@ class Camera:
             pieces = {"descriptor": band.descriptor, "density": band.density}
             for name, block in pieces.items():
                 if f"samples.{name}" in wanted and block is not None:
-                    shape = (spp, height, *block.shape[2:])
+                    shape = (recorded, height, *block.shape[2:])
                     samples.setdefault(name, np.empty(shape, block.dtype))[:, first:last] = block
-            if samples and not (valid := band.valid()).all():
-                whole = samples.setdefault("valid", np.ones((spp, height, width, 1), np.float16))
+            if samples and not (valid := band.valid()[:recorded]).all():
+                whole = samples.setdefault("valid", np.ones((recorded, height, width, 1), np.float16))
                 whole[:, first:last] = valid[..., None]
             bar(last / height)
         self._film(crop_offset=self._origin, crop_size=self.size)

@@ -233,7 +233,8 @@ void Denoiser::Run::embed() {
     if (!frame_.has("samples.descriptor"))
         return;
     const Session &session = model_.session("embedding");
-    const int64_t spp = std::min(frame_.samples(), manifest_.embedded_samples), most = part * std::min(model_.threads(), 16);
+    const int64_t spp = std::min(frame_.samples(), manifest_.embedded_samples),
+                  most = part * std::min(model_.threads(), 16);
     const int step = Embedding::alignment;
     const int rows = int(std::max<int64_t>(1, most / (width * spp * step))) * step;
     const int64_t count = std::clamp<int64_t>(most / (int64_t(width) * rows), 1, spp);

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import yaml
+from pathfold.channels.samples import ALL_SAMPLES
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
-
-ALL_SAMPLES = 1 << 30
 
 
 class Strict(BaseModel):

@@ -39,7 +39,8 @@ def render(
 ) -> None:
     """Trace a scene through its own camera and film, and write the buffers and samples that models read.
 
-    The first part of the file holds the buffers, the second one (`samples`) the path descriptor of every sample.
+    The first part of the file holds the buffers, the second one (`samples`) the path descriptors of as many
+    samples as the model looks at.
     Without --for it holds whatever any shipped model reads. --auto prints what it leaves out, and why.
     """
     from pathfold import models, needs, version
@@ -55,10 +56,11 @@ def render(
     denoiser = Denoiser(model) if model else None
     reader = model or for_model
     reads = models.inputs(reader) if reader else models.shipped_inputs()
+    recorded = models.path_samples(reader) if reader else models.shipped_path_samples()
     camera = Camera(scene, variant, sensor, parse_size(size))
     with console.progress(f"render {scene.name}", quiet) as bar:
         start = perf_counter()
-        settings = (spp, seed, max_depth, rr_depth, reads, bar)
+        settings = (spp, seed, max_depth, rr_depth, reads, bar, recorded)
         frame = needs.trace(camera, *settings) if auto else needs.LeanFrame(*camera.trace(*settings), "", [])
         seconds = perf_counter() - start
     buffers, samples, all_light = frame.buffers, frame.samples, frame.all_light

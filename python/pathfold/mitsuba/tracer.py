@@ -12,6 +12,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from pathfold.channels.samples import ALL_SAMPLES
+
 from . import descriptor, materials
 from .film import Film, opaque
 from .walk import Guides, Path, Settings, walk
@@ -103,7 +105,7 @@ def trace(
     seed: int = 0,
     max_depth: int = 6,
     sensor: int = 0,
-    descriptors: bool = True,
+    recorded: int = ALL_SAMPLES,
     rr_depth: int | None = None,
     emitter_sampling: bool = True,
     vertices: int = 6,
@@ -113,6 +115,7 @@ def trace(
 
     `max_depth` counts as in Mitsuba: 1 shows emitters alone, 2 adds direct light, -1 has no limit and needs
     `rr_depth`, the depth from which Russian roulette may end a path (None: never; its odds join the density).
+    Paths are recorded of the first `recorded` samples of every pixel: descriptor, density and overlong have no more.
     Without `emitter_sampling` light is only found by running into it. `leave_out` names fields of `Samples` that are
     not made, nor anything that only they need; the others stay what they are. Equal arguments give equal arrays.
     Raises ValueError for arguments out of range, NotImplementedError naming what the scene has and we lack.
@@ -126,16 +129,27 @@ def trace(
             f"{film.width}x{film.height} pixels at {spp} samples are more than {MAX_LANES} paths in one call; "
             "lower spp and call again with another seed, or set a crop window on the film"
         )
-    settings = Settings(max_depth, rr_depth, vertices, descriptors, emitter_sampling, materials.survey(scene))
-    # Sample-major lanes: every channel is a plane S x H x W as it leaves the device.
-    pixel = dr.arange(mi.UInt32, film.pixels * spp) % opaque(film.pixels)
-    position, path, guides, record = launch(scene, camera, film, pixel, (seed, 0), settings)
-    columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
-    if record is not None:
-        columns |= descriptor.channels(record)
-    columns = {name: channels for name, channels in columns.items() if name not in leave_out}
-    dr.eval(columns)
-    return Samples(**{name: to_host(channels, spp, film) for name, channels in columns.items()})
+    surveyed = materials.survey(scene)
+    first = min(max(recorded, 0), spp)
+    planes: dict[str, NDArray[Any]] = {}
+    for begin, count, records in ((0, first, True), (first, spp - first, False)):
+        if count == 0:
+            continue
+        settings = Settings(max_depth, rr_depth, vertices, records, emitter_sampling, surveyed)
+        # Sample-major lanes: every channel is a plane S x H x W as it leaves the device.
+        pixel = dr.arange(mi.UInt32, film.pixels * count) % opaque(film.pixels)
+        entropy = (seed, 0) if begin == 0 else (seed, 0, begin)
+        position, path, guides, record = launch(scene, camera, film, pixel, entropy, settings)
+        columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
+        own = {} if record is None else descriptor.channels(record)
+        columns = {name: channels for name, channels in (columns | own).items() if name not in leave_out}
+        dr.eval(columns)
+        for name, channels in columns.items():
+            if name not in planes:
+                shape = first if name in own else spp, len(channels), film.height, film.width
+                planes[name] = np.empty(shape, channels[0].numpy().dtype)
+            to_host(channels, planes[name][begin : begin + count])
+    return Samples(**{name: np.moveaxis(values, 1, -1) for name, values in planes.items()})
 
 
 def trace_mean(
@@ -237,12 +251,9 @@ def pack(camera: Any, path: Path, guides: Guides, narrow: Callable[[Any], list[A
     }
 
 
-def to_host(channels: list[Any], spp: int, film: Film) -> NDArray[Any]:
-    """Stack planes of sample-major lanes into an array seen as S x H x W x C."""
-    shape = spp, film.height, film.width
-    dtype = channels[0].numpy().dtype
-    planes = np.empty((spp, len(channels), film.height, film.width), dtype)
+def to_host(channels: list[Any], planes: NDArray[Any]) -> None:
+    """Write sample-major lanes into planes S x C x H x W."""
+    samples, _, height, width = planes.shape
     for index, channel in enumerate(channels):
         values = channel.numpy()
-        planes[:, index] = values.reshape(shape) if values.size > 1 else values
-    return np.moveaxis(planes, 1, -1)
+        planes[:, index] = values.reshape(samples, height, width) if values.size > 1 else values

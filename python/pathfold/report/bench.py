@@ -224,7 +224,7 @@ def measure_unit(
 ) -> Any:
     """All frames of one spp and seed; yields a Measurement for each method that got through."""
     subject, (spp, seed) = job.subject, unit
-    described = any(candidate.reads_paths for candidate, _ in chosen.values())
+    recorded = {candidate.path_samples for candidate, _ in chosen.values()}
     first_seed = is_first_seed(subject, unit)
     contest: Contest | None = None
 
@@ -232,7 +232,7 @@ def measure_unit(
         send(Problem(f"{subject.name}, {spp} spp, seed {seed}, {name}", _words(error)))
 
     for frame, reference in enumerate(references):
-        shot = subject.shoot(frame, spp, seed, described, reference.size, first_seed)
+        shot = subject.shoot(frame, spp, seed, recorded, reference.size, first_seed)
         if contest is None:
             color = np.ascontiguousarray(shot.buffers["color"])
             exposure = auto_exposure(color) if len(references) > 1 else None

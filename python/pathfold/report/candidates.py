@@ -34,10 +34,11 @@ class Candidate:
     reads: frozenset[str]
     identity: str  # changes where results may change
     load: Callable[[], Run]  # reads weights and all else that a first frame needs
+    path_samples: int = 0  # the most samples of a pixel whose paths it looks at
 
     @property
     def reads_paths(self) -> bool:
-        return any(name.startswith("samples.") for name in self.reads)
+        return self.path_samples > 0
 
 
 def find(argument: str) -> Candidate:
@@ -61,12 +62,15 @@ def find(argument: str) -> Candidate:
         raise failure("unsupported", f"{argument}: the model has no {precision}, only {', '.join(known)}")
     reads = frozenset({"color", *models.inputs(folder)})
     title, identity = folder.name + (colon and f":{precision}"), fingerprint(models.manifest(folder), precision)
-    return Candidate(title, argument, reads, identity, lambda: _model(folder, precision))
+    paths = models.path_samples(folder)
+    return Candidate(title, argument, reads, identity, lambda: _model(folder, precision), paths)
 
 
 def fingerprint(manifest: dict[str, Any], precision: str = "auto") -> str:
     """Of what a model's results depend on: its graphs, by their hashes, and what is done with what they say."""
     parts = {name: manifest.get(name) for name in ("requires", "uses", "graphs", "reconstruction", "exposure", "tile")}
+    if "embedded" in (counts := manifest.get("samples_per_pixel", {})):
+        parts["embedded"] = counts["embedded"]
     if precision != "fp32" and "variants" in manifest:
         parts["variants"] = manifest["variants"]
     return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]

@@ -23,6 +23,7 @@ from pathfold import Denoiser, metrics
 from pathfold.cli import console
 from pathfold.cli.render import parse_size
 from pathfold.images import OutputError, check_writable
+from pathfold.models import path_samples
 from pathfold.rendering import load_mitsuba
 from pathfold.report import Method, page, peers, picture, tables
 from pathfold.report.machine import machine, versions
@@ -57,10 +58,13 @@ def demo(
     width, height = parse_size(size) or (384, 256)
     scene = still_life(width, height)
     console.say(f"rendering {width}x{height} at {spp} spp")
+    recorded = {name: min(spp, path_samples(name)) for name in MODELS}
     renders: dict[Any, Callable[[], Any]] = {
-        described: partial(traced, scene, spp, MAX_DEPTH, described) for described in (False, True)
+        count: partial(traced, scene, spp, MAX_DEPTH, count) for count in sorted({0, *recorded.values()})
     }
-    (plain_ms, _), (render_ms, (buffers, samples)) = turns(renders, 3).values()
+    rendered = turns(renders, 3)
+    render_ms = {count: ms for count, (ms, _) in rendered.items()}
+    plain_ms, (buffers, samples) = render_ms[0], rendered[max(render_ms)][1]  # all see the same frame
 
     console.say("denoising")
     guides = (buffers["color"], buffers["albedo"], buffers["normal"])
@@ -69,8 +73,7 @@ def demo(
         "OIDN, prefiltered": (plain_ms, lambda: peers.oidn_prefiltered(*guides)),
     }
     for name, denoiser in denoisers.items():
-        reads = any(buffer.startswith("samples.") for buffer in (*denoiser.model.requires, *denoiser.model.uses))
-        entries[name] = (render_ms if reads else plain_ms, apply(denoiser, buffers | samples))
+        entries[name] = (render_ms[recorded[name]], apply(denoiser, buffers | samples))
     denoised = [
         Method(name, image, render_ms=entries[name][0], denoise_ms=ms)
         for name, (ms, image) in turns({name: call for name, (_, call) in entries.items()}, ROUNDS).items()
@@ -89,14 +92,14 @@ def demo(
     show(methods, out, perf_counter() - start)
 
 
-def traced(scene: Any, spp: int, max_depth: int, descriptors: bool) -> tuple[dict[str, Image], dict[str, Any]]:
-    """Per-pixel buffers and, where asked for, the block of samples."""
+def traced(scene: Any, spp: int, max_depth: int, recorded: int) -> tuple[dict[str, Image], dict[str, Any]]:
+    """Per-pixel buffers and the block of the first `recorded` samples."""
     from pathfold.mitsuba import trace
 
-    samples = trace(scene, spp, SEED, max_depth, descriptors=descriptors)
+    samples = trace(scene, spp, SEED, max_depth, recorded=recorded)
     buffers = samples.reduce()
     buffers.pop("dropped")
-    block = {"samples.descriptor": samples.descriptor, "samples.density": samples.density} if descriptors else {}
+    block = {"samples.descriptor": samples.descriptor, "samples.density": samples.density} if recorded else {}
     return buffers, block
 
 

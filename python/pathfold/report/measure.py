@@ -22,11 +22,18 @@ Buffers = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Shot:
-    """A noisy frame: its buffers, and the milliseconds that each timed rendering took, without and with descriptors."""
+    """A noisy frame: its buffers, and the milliseconds that each timed rendering took.
+
+    `render_ms` is by the number of samples of a pixel whose paths were recorded.
+    """
 
     buffers: Buffers
-    plain_ms: list[float]
-    described_ms: list[float]
+    spp: int
+    render_ms: Mapping[int, list[float]]
+
+    def rendering_for(self, candidate: Candidate) -> list[float]:
+        """The times of renderings that recorded what the candidate looks at."""
+        return self.render_ms.get(min(candidate.path_samples, self.spp), [])
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,8 @@ class Measurement:
     smape: float
     ssim: float
     flip: float
-    # Every timed run; with descriptors where the method reads them, without at the first seed only. Empty: none known.
+    # Every timed run that recorded the paths that the method looks at; of those that others look at more paths than,
+    # at the first seed only. Empty: none known.
     render_ms: list[float]
     denoise_ms: list[float]  # every timed run after a warm-up; empty for the noisy picture
     rell2_paper: float | None = None
@@ -138,7 +146,7 @@ class Contest:
             except Exception as error:  # whatever a method raises is its own failure, not the bench's
                 self._drop(name, error)
                 continue
-            tally.render_ms.append(shot.described_ms if candidate.reads_paths else shot.plain_ms)
+            tally.render_ms.append(shot.rendering_for(candidate))
             if name != NOISY:
                 tally.denoise_ms.append([took] if size in self._known.warm else [])
                 self._known.warm.add(size)

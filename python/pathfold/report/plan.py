@@ -52,9 +52,9 @@ def look(path: Path, measured: Sequence[Sample], size: tuple[int, int] | None) -
     subject = MitsubaSubject(path, path.stem, Options(rounds=ROUNDS))
     wanted = size or subject.size
     runs, left_out = _load([s.method for s in measured if s.spp == spp])
-    described = any(candidate.reads_paths for candidate, _ in runs.values())
+    recorded = {candidate.path_samples for candidate, _ in runs.values()}
     small = _shrunk(wanted)
-    shot = subject.shoot(0, spp, 0, described, small, first_seed=True)
+    shot = subject.shoot(0, spp, 0, recorded, small, first_seed=True)
     images, took = _denoise(runs, shot.buffers, left_out)
     cleaned = [method for method in images if method != NOISY]
     if not cleaned:
@@ -63,9 +63,7 @@ def look(path: Path, measured: Sequence[Sample], size: tuple[int, int] | None) -
     errors = {m: results.geometric(s.rell2 for s in measured if (s.method, s.spp) == (m, spp)) for m in cleaned}
     clean = images[min(errors, key=errors.__getitem__)]  # stands for the reference
     scale = wanted[0] * wanted[1] / (small[0] * small[1])
-    render = {
-        method: scale * median(shot.described_ms if runs[method][0].reads_paths else shot.plain_ms) for method in images
-    }
+    render = {method: scale * median(shot.rendering_for(runs[method][0])) for method in images}
     noise = metrics.rell2(shot.buffers["color"], clean)
     pilot = Pilot(spp, noise, render, {method: scale * ms for method, ms in took.items()})
     known = noises(measured).values()

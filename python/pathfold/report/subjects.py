@@ -4,7 +4,7 @@ Both give noisy frames at some spp and seed, and a reference for every frame. Mo
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
@@ -106,35 +106,41 @@ class MitsubaSubject:
         path = numbered if self.frames > 1 else self.path.with_name("reference.exr")
         return Reference.read(path) if path.is_file() else None
 
-    def shoot(self, frame: int, spp: int, seed: int, described: bool, size: tuple[int, int], first_seed: bool) -> Shot:
-        """Render a frame, with descriptors where `described`; equal arguments, equal frames.
+    def shoot(
+        self, frame: int, spp: int, seed: int, recorded: Collection[int], size: tuple[int, int], first_seed: bool
+    ) -> Shot:
+        """Render a frame with the paths of as many samples of a pixel as the most of `recorded`.
 
-        At the first seed without them too, in turn: only for the time that it takes.
+        At the first seed with as many as each of the others and with none too, in turn: for the time that it takes.
+        Equal arguments, equal frames.
         """
         self._camera.use(frame, size)
         if not self._warm:
-            for kind in (False, described):
+            for kind in (0, 1) if max(recorded) else (0,):
                 self._trace(1, 0, kind)  # compiles the kernels
             self._warm = True
-        pictures: dict[bool, Buffers] = {}
+        pictures: dict[int, Buffers] = {}
 
-        def call(kind: bool) -> None:
+        def call(kind: int) -> None:
             pictures.clear()  # one block of samples at a time
             pictures[kind] = self._trace(spp, seed, kind)
 
-        kinds = [False, True] if described and first_seed else [described]
-        calls: dict[bool, Callable[[], None]] = {kind: lambda kind=kind: call(kind) for kind in kinds}  # type: ignore[misc]
+        kinds = sorted({0, *(min(count, spp) for count in recorded)})
+        most = kinds[-1]
+        if not first_seed:
+            kinds = [most]
+        calls: dict[int, Callable[[], None]] = {kind: lambda kind=kind: call(kind) for kind in kinds}  # type: ignore[misc]
         took = in_turns(calls, 1)
-        if first_seed and max(took[described]) < SLOW_MS:
+        if first_seed and max(took[most]) < SLOW_MS:
             for kind, more in in_turns(calls, self.options.rounds - 1).items():
                 took[kind] += more
-        return Shot(pictures[described], took.get(False, []), took.get(True, []))
+        return Shot(pictures[most], spp, took)
 
     _warm = False
 
-    def _trace(self, spp: int, seed: int, described: bool) -> Buffers:
-        wanted = {*channels.BUFFERS, *({"samples.descriptor", "samples.density"} if described else ())}
-        buffers, block, _ = self._camera.trace(spp, seed, self._max_depth, None, wanted, lambda done: None)
+    def _trace(self, spp: int, seed: int, recorded: int) -> Buffers:
+        wanted = {*channels.BUFFERS, *({"samples.descriptor", "samples.density"} if recorded else ())}
+        buffers, block, _ = self._camera.trace(spp, seed, self._max_depth, None, wanted, lambda done: None, recorded)
         return {**buffers, **{f"samples.{name}": pixels for name, pixels in block.items()}}
 
 
@@ -196,18 +202,20 @@ class PictureSubject:
                 return Reference.read(self.folder / name)
         raise SubjectError(f"{self.folder}: has no {' nor '.join(names)}")
 
-    def shoot(self, frame: int, spp: int, seed: int, described: bool, size: tuple[int, int], first_seed: bool) -> Shot:
-        """Read a frame; its time is what the header tells, the same with descriptors and without."""
+    def shoot(
+        self, frame: int, spp: int, seed: int, recorded: Collection[int], size: tuple[int, int], first_seed: bool
+    ) -> Shot:
+        """Read a frame; its time is what the header tells, the same with paths and without."""
         file = ImageFile(self._sequences[spp, seed][frame])
         found = channels.match(file)[0]
         if found.size != size:
             unlike = " and ".join(f"{width}x{height}" for width, height in (found.size, size))
             raise SubjectError(f"{file.path} and its reference are of unlike sizes, {unlike}")
         buffers: Buffers = {name: channels.load(file, found, name) for name in found.sources}
-        if described and samples.find(file) is not None:
+        if max(recorded) and samples.find(file) is not None:
             buffers |= {f"samples.{name}": pixels for name, pixels in samples.load(file).items()}
         took = _render_ms(file.metadata())
-        return Shot(buffers, took, took)
+        return Shot(buffers, spp, {min(count, spp): took for count in (0, *recorded)})
 
 
 Subject = MitsubaSubject | PictureSubject

@@ -175,7 +175,8 @@ PATHFOLD_API void pathfold_denoiser_clear(pathfold_denoiser *denoiser);
  *   "exposure"   what radiance is multiplied with before a network sees it; 0 (default): from the image
  *   "memory_mb"  bound on the working memory of a tile; 0 (default): chosen
  *   "tile"       edge of a square tile in pixels, a multiple of the model's alignment; 0 (default): chosen
- *   "samples_per_pixel"  of the frame; 0 (default): as many as its samples buffers have
+ *   "samples_per_pixel"  of the frame; 0 (default): as many as its samples buffers have;
+ *                        these may hold the first samples of a pixel alone, see samples_per_pixel.embedded
  * PATHFOLD_INVALID_ARGUMENT: no such name, or out of range. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_number(pathfold_denoiser *denoiser,
                                                                             const char *name, double value);
