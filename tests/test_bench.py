@@ -20,7 +20,7 @@ from pathfold import PathfoldError, metrics
 from pathfold.cli import app, console
 from pathfold.cli.bench import without_place
 from pathfold.images import ImageError
-from pathfold.report import answers, bench, candidates, cold, curves, prediction, results, subjects, summary
+from pathfold.report import answers, bench, candidates, cold, curves, prediction, results, subjects, summary, versus
 from pathfold.report.measure import Measurement, in_turns
 from pathfold.report.reference import Reference
 
@@ -48,6 +48,25 @@ def test_between_measured_points_curves_are_straight_in_log_log(measured: list[M
     noisy = of(measured, "noisy")
     assert curves.error_at(noisy, math.sqrt(0.5)) == curves.Reached(pytest.approx(1 / math.sqrt(8)))
     assert curves.time_to(noisy, 1 / 6) == curves.Reached(pytest.approx(6 / 4))
+
+
+def test_a_model_is_told_against_a_peer_at_the_same_spp_and_time(measured: list[Measurement]) -> None:
+    peer = [replace(m, method="oidn") for m in measured if m.method == "clean"]
+    # twice the error at each spp, half a second faster: at 16 spp in 4.5 s, where oidn is between 8 spp and 16
+    model = [measurement("model", n, n / 4 + 0.5, 0.2 / n, scene) for scene in "ab" for n in (2, 16, 32)]
+    other = [replace(m, scene="b", rell2=m.rell2 * 4) for m in peer]
+    ((header, *rows),) = versus.versus([*peer, *other, *model, measurement("noisy", 2, 1, 1)]).values()
+    rows = {int(row[1]): dict(zip(header, row, strict=True)) for row in rows}
+    assert sorted(rows) == [2, 16, 32]
+    assert rows[16]["method"] == "model"
+    assert float(rows[16]["RelL2, same spp"]) == pytest.approx(1, rel=1e-3)  # 2 and 1/2
+    assert float(rows[16]["denoise time"]) == pytest.approx(0.9, rel=1e-3)  # 4.5 / 5
+    between = 0.1 / 8 / 2 ** (math.log(4.5 / 3) / math.log(5 / 3))
+    assert float(rows[16]["RelL2, same time"]) == pytest.approx(0.2 / 16 / between / 2, rel=1e-2)
+    assert rows[16]["RelL2 won, same time"] == "1 of 2"
+    assert rows[2]["RelL2, same time"].startswith("~")  # 1 s, before oidn's first point: 0.1 of 0.1 and 0.4
+    assert float(rows[2]["RelL2, same time"][1:]) == pytest.approx(0.5, rel=1e-2)
+    assert versus.versus(measured) == {}
 
 
 def test_nothing_is_extrapolated(measured: list[Measurement]) -> None:

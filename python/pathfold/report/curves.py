@@ -8,9 +8,9 @@ from math import exp, log
 from pathfold.report.results import FLOOR, Point
 
 
-def timed(points: Sequence[Point]) -> list[tuple[float, float, Point]]:
-    """(total seconds, RelL2, point) by time; points without a time are left out."""
-    known = [(p.total_ms / 1000, max(p.rell2, FLOOR), p) for p in points if p.total_ms]
+def timed(points: Sequence[Point], metric: str = "rell2") -> list[tuple[float, float, Point]]:
+    """(total seconds, error, point) by time; points without a time are left out."""
+    known = [(p.total_ms / 1000, max(p.errors[metric].mean, FLOOR), p) for p in points if p.total_ms]
     return sorted(known, key=lambda entry: entry[:2])
 
 
@@ -31,9 +31,9 @@ class Reached:
     bound: bool = False
 
 
-def error_at(points: Sequence[Point], seconds: float) -> Reached | None:
-    """RelL2 that a method reaches in a time: None before its first point, after its last the least of all."""
-    entries = timed(points)
+def error_at(points: Sequence[Point], seconds: float, metric: str = "rell2") -> Reached | None:
+    """The error that a method reaches in a time: None before its first point, after its last the least of all."""
+    entries = timed(points, metric)
     for (t0, e0, _), (t1, e1, _) in pairwise(entries):
         if t0 <= seconds <= t1:
             return Reached(_between(log(t0), log(e0), log(t1), log(e1), log(seconds)))

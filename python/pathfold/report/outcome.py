@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pathfold.images import replacing
-from pathfold.report import benchpage, plots, prediction, summary
+from pathfold.report import benchpage, plots, prediction, summary, versus
 from pathfold.report.answers import Answer, answers
 from pathfold.report.bench import Problem
 from pathfold.report.measure import Measurement
@@ -27,6 +27,8 @@ def write(
     tables = summary.markdown(summary.by_method(measurements))
     markdown = [f"# Error against run time\n\n{lead}\n", *(_section(answer) for answer in told)]
     markdown.append(f"## Methods, {'means over scenes' if means else scenes[0]}\n\n{tables}")
+    for peer, table in versus.versus(measurements).items():
+        markdown.append(f"## Against {peer}\n\n{summary.markdown(table)}\n{versus.NOTE}\n")
     for spp in sorted({m.spp for m in measurements}):
         tables = summary.markdown(summary.by_scene(measurements, spp))
         markdown.append(f"## RelL2 at {spp} spp\n\n{tables}")
