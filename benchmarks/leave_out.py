@@ -87,9 +87,11 @@ def rendered(path: Path, model: str, spp: int, width: int, rounds: int) -> str:
     def trace(name: str) -> None:
         frames.pop(name, None)  # one block of samples at a time
         if name == "lean":
-            frames[name] = needs.trace(camera, *settings, reads, lambda done: None)
+            frames[name] = needs.trace(camera, *settings, reads, lambda done: None, models.path_samples(model))
         else:
-            frames[name] = needs.LeanFrame(*camera.trace(*settings, everything, lambda done: None), "", [])
+            frames[name] = needs.LeanFrame(
+                *camera.trace(*settings, everything, lambda done: None, models.shipped_path_samples()), "", []
+            )
 
     render = in_turn({name: lambda name=name: trace(name) for name in ("full", "lean")}, rounds)
     ready = {"full": Denoiser(model, leave_out="none"), "lean": Denoiser(model)}

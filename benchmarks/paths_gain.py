@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pathfold import metrics
+from pathfold.channels.samples import ALL_SAMPLES
 from pathfold.images import replacing
 from pathfold.report import candidates, peers, subjects
 from pathfold.report.reference import Reference
@@ -218,7 +219,7 @@ def main() -> None:
             key |= {"inputs": subject.fingerprint(), "identity": model.identity}
             row = next((old for old in done if all(old[name] == value for name, value in key.items())), None)
             if row is None:
-                shot = subject.shoot(0, spp, seed, [model.path_samples], reference.size, False)
+                shot = subject.shoot(0, spp, seed, [ALL_SAMPLES], reference.size, False)
                 if "samples.descriptor" not in shot.buffers:
                     raise SystemExit(f"{subject.name} has no samples: paths cannot be compared; render it with them")
                 picture = options.output / f"{subject.name}-{spp}spp.jpg" if seed == 0 else None

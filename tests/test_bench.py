@@ -69,6 +69,33 @@ def test_a_model_is_told_against_a_peer_at_the_same_spp_and_time(measured: list[
     assert versus.versus(measured) == {}
 
 
+def test_a_frame_is_the_same_however_many_paths_are_recorded() -> None:
+    (subject,) = subjects.find(TINY / "scene.xml", subjects.Options(rounds=1))
+    size = (12, 8)
+    every = subject.shoot(0, 4, 1, {0, 2, 1 << 30}, size, first_seed=True)
+    assert sorted(every.render_ms) == [0, 2, 4]
+    assert every.buffers["samples.descriptor"].shape[0] == 4
+    some = subject.shoot(0, 4, 1, {2}, size, first_seed=False)
+    assert sorted(some.render_ms) == [2]
+    np.testing.assert_array_equal(some.buffers["color"], every.buffers["color"])
+    for name in ("samples.descriptor", "samples.density"):
+        np.testing.assert_array_equal(some.buffers[name], every.buffers[name][:2])
+    none = subject.shoot(0, 4, 1, set(), size, first_seed=False)
+    np.testing.assert_array_equal(none.buffers["variance"], every.buffers["variance"])
+    assert "samples.descriptor" not in none.buffers
+    for name, count in (("noisy", 0), ("kpcn-vanilla", 0), ("pathfold-balanced", 2), ("kpcn-manifold", 4)):
+        candidate = candidates.find(name)
+        assert every.rendering_for(candidate) is every.render_ms[count]
+        assert bool(some.rendering_for(candidate)) == (count == 2)
+
+
+def test_how_many_paths_a_model_looks_at_is_part_of_its_identity() -> None:
+    manifest = {"graphs": {}, "samples_per_pixel": {"min": 1, "max": 8}}
+    limited = {**manifest, "samples_per_pixel": {"min": 1, "max": 8, "embedded": 2}}
+    assert candidates.fingerprint(manifest) != candidates.fingerprint(limited)
+    assert candidates.fingerprint({**manifest, "samples_per_pixel": None})
+
+
 def test_nothing_is_extrapolated(measured: list[Measurement]) -> None:
     noisy = of(measured, "noisy")
     assert curves.error_at(noisy, 0.2) is None  # before the first point

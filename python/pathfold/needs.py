@@ -47,7 +47,7 @@ def trace(
     rr_depth: int | None,
     reads: Collection[str],
     bar: Callable[[float], None],
-    recorded: int,
+    recorded: int = sample_names.ALL_SAMPLES,
 ) -> LeanFrame:
     """`Camera.trace` of what a model reads, without what the scene and the frame do not need."""
     unneeded = of_scene(camera.scene, spp, reads)

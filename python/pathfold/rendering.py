@@ -96,9 +96,9 @@ class Camera:
                     band_seed,
                     max_depth,
                     self._sensor,
-                    recorded,
                     rr_depth,
                     vertices=vertices,
+                    recorded=recorded,
                     leave_out=unneeded,
                 )
             except (ValueError, TypeError, NotImplementedError) as error:

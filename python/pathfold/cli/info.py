@@ -89,7 +89,9 @@ def picture(path: Path) -> Iterator[str]:
             if layer.part == number and not layer.name.startswith("samples."):
                 yield f"  {layer.name or '(main)'}: {', '.join(layer.channels)}"
         if samples.find(file) == number:
-            yield f"  {samples.count(file)} samples per pixel with path descriptors"
+            count, spp = samples.count(file), file.metadata().get("pathfold:spp", 0)
+            of_all = f" of {spp}" if isinstance(spp, int) and spp > count else ""
+            yield f"  {count}{of_all} samples per pixel with path descriptors"
     try:
         for frame in channels.match(file):
             yield from frame_lines(path, frame)

@@ -32,7 +32,7 @@ CHUNK_LANES = 1 << 22  # samples that trace_mean holds at once
 
 @dataclass
 class Samples:
-    """Camera samples as NumPy arrays S x H x W x C (memory S x C x H x W), linear radiance.
+    """Camera samples as NumPy arrays S x H x W x C (memory S x C x H x W), linear radiance; fewer S of recorded paths.
 
     Radiance, depth, position and density are float32, the rest float16. `normal` is in camera space and faces the
     camera; `position` is the offset in pixels from the pixel centre; `alpha` is 1 where the sample met a surface.
@@ -105,17 +105,19 @@ def trace(
     seed: int = 0,
     max_depth: int = 6,
     sensor: int = 0,
-    recorded: int = ALL_SAMPLES,
     rr_depth: int | None = None,
     emitter_sampling: bool = True,
     vertices: int = 6,
+    *,
+    recorded: int = ALL_SAMPLES,
     leave_out: Collection[str] = (),
 ) -> Samples:
     """Path-trace `spp` samples for every pixel of a sensor of a loaded Mitsuba scene.
 
     `max_depth` counts as in Mitsuba: 1 shows emitters alone, 2 adds direct light, -1 has no limit and needs
     `rr_depth`, the depth from which Russian roulette may end a path (None: never; its odds join the density).
-    Paths are recorded of the first `recorded` samples of every pixel: descriptor, density and overlong have no more.
+    Paths are recorded of the first `recorded` samples of every pixel, the same samples whatever their number:
+    descriptor, density and overlong have no more.
     Without `emitter_sampling` light is only found by running into it. `leave_out` names fields of `Samples` that are
     not made, nor anything that only they need; the others stay what they are. Equal arguments give equal arrays.
     Raises ValueError for arguments out of range, NotImplementedError naming what the scene has and we lack.
@@ -123,6 +125,8 @@ def trace(
     camera = check(scene, spp, seed, sensor, max_depth, rr_depth, vertices)
     if unknown := set(leave_out) - OPTIONAL:
         raise ValueError(f"leave_out names {', '.join(sorted(unknown))}; it may name {', '.join(sorted(OPTIONAL))}")
+    if recorded < 0:
+        raise ValueError(f"recorded is {recorded}; give 0 or more samples per pixel")
     film = Film(camera)
     if film.pixels * spp > MAX_LANES:
         raise ValueError(
@@ -130,7 +134,7 @@ def trace(
             "lower spp and call again with another seed, or set a crop window on the film"
         )
     surveyed = materials.survey(scene)
-    first = min(max(recorded, 0), spp)
+    first = min(recorded, spp)
     planes: dict[str, NDArray[Any]] = {}
     for begin, count, records in ((0, first, True), (first, spp - first, False)):
         if count == 0:
@@ -138,8 +142,8 @@ def trace(
         settings = Settings(max_depth, rr_depth, vertices, records, emitter_sampling, surveyed)
         # Sample-major lanes: every channel is a plane S x H x W as it leaves the device.
         pixel = dr.arange(mi.UInt32, film.pixels * count) % opaque(film.pixels)
-        entropy = (seed, 0) if begin == 0 else (seed, 0, begin)
-        position, path, guides, record = launch(scene, camera, film, pixel, entropy, settings)
+        stream = Stream.seeded((seed, 0), begin * film.pixels, count * film.pixels)
+        position, path, guides, record = launch(scene, camera, film, pixel, stream, settings)
         columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
         own = {} if record is None else descriptor.channels(record)
         columns = {name: channels for name, channels in (columns | own).items() if name not in leave_out}
@@ -175,7 +179,8 @@ def trace_mean(
         size = min(chunk, spp - first)
         # Pixel-major lanes: the samples of a pixel lie side by side and are summed as a block.
         pixel = dr.arange(mi.UInt32, film.pixels * size) // opaque(size)
-        _, path, guides, _ = launch(scene, camera, film, pixel, (seed, 1, index), settings)
+        stream = Stream.seeded((seed, 1, index), 0, film.pixels * size)
+        _, path, guides, _ = launch(scene, camera, film, pixel, stream, settings)
         columns = pack(camera, path, guides, list)
         finite = dr.full(mi.Bool, True, film.pixels * size)
         for channel in chain.from_iterable(columns.values()):
@@ -219,12 +224,30 @@ def check(scene: Any, spp: int, seed: int, sensor: int, max_depth: int, rr_depth
     return sensors[sensor]
 
 
+@dataclass
+class Stream:
+    """Uniform numbers in [0, 1), for each lane its own: what Mitsuba's independent sampler gives, from any lane on."""
+
+    rng: Any
+
+    @staticmethod
+    def seeded(entropy: tuple[int, ...], first: int, lanes: int) -> Stream:
+        """For lanes [first, first + lanes) of all that equal entropies stand for."""
+        seed = opaque(int(np.random.SeedSequence(entropy).generate_state(1)[0]))
+        state, sequence = mi.sample_tea_32(seed, dr.arange(mi.UInt32, lanes) + opaque(first))
+        return Stream(mi.PCG32(initstate=mi.UInt64(state), initseq=mi.UInt64(sequence)))  # type: ignore[operator]
+
+    def next_1d(self) -> Any:
+        return self.rng.next_float32()
+
+    def next_2d(self) -> Any:
+        return mi.Point2f(self.rng.next_float32(), self.rng.next_float32())
+
+
 def launch(
-    scene: Any, camera: Any, film: Film, pixel: Any, entropy: tuple[int, ...], settings: Settings
+    scene: Any, camera: Any, film: Film, pixel: Any, sampler: Stream, settings: Settings
 ) -> tuple[Any, Path, Guides, descriptor.Record | None]:
     """Trace one path per lane through its pixel; return its film position first."""
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(int(np.random.SeedSequence(entropy).generate_state(1)[0]), dr.width(pixel))
     offset = film.sample(sampler.next_2d())
     aperture = sampler.next_2d() if camera.needs_aperture_sample() else mi.Point2f(0.5)
     ray, weight = camera.sample_ray(0, 0, film.place(pixel, offset), aperture)

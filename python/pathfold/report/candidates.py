@@ -69,7 +69,7 @@ def find(argument: str) -> Candidate:
 def fingerprint(manifest: dict[str, Any], precision: str = "auto") -> str:
     """Of what a model's results depend on: its graphs, by their hashes, and what is done with what they say."""
     parts = {name: manifest.get(name) for name in ("requires", "uses", "graphs", "reconstruction", "exposure", "tile")}
-    if "embedded" in (counts := manifest.get("samples_per_pixel", {})):
+    if "embedded" in (counts := manifest.get("samples_per_pixel") or {}):
         parts["embedded"] = counts["embedded"]
     if precision != "fp32" and "variants" in manifest:
         parts["variants"] = manifest["variants"]

@@ -48,8 +48,8 @@ class Measurement:
     smape: float
     ssim: float
     flip: float
-    # Every timed run that recorded the paths that the method looks at; of those that others look at more paths than,
-    # at the first seed only. Empty: none known.
+    # Every timed run that recorded as many samples' paths as the method looks at. At later seeds a frame is rendered
+    # once, for the methods that look at most. Empty: none known.
     render_ms: list[float]
     denoise_ms: list[float]  # every timed run after a warm-up; empty for the noisy picture
     rell2_paper: float | None = None

@@ -116,7 +116,7 @@ class MitsubaSubject:
         """
         self._camera.use(frame, size)
         if not self._warm:
-            for kind in (0, 1) if max(recorded) else (0,):
+            for kind in (0, 1) if max(recorded, default=0) else (0,):
                 self._trace(1, 0, kind)  # compiles the kernels
             self._warm = True
         pictures: dict[int, Buffers] = {}
@@ -212,7 +212,7 @@ class PictureSubject:
             unlike = " and ".join(f"{width}x{height}" for width, height in (found.size, size))
             raise SubjectError(f"{file.path} and its reference are of unlike sizes, {unlike}")
         buffers: Buffers = {name: channels.load(file, found, name) for name in found.sources}
-        if max(recorded) and samples.find(file) is not None:
+        if max(recorded, default=0) and samples.find(file) is not None:
             buffers |= {f"samples.{name}": pixels for name, pixels in samples.load(file).items()}
         took = _render_ms(file.metadata())
         return Shot(buffers, spp, {min(count, spp): took for count in (0, *recorded)})

@@ -102,7 +102,7 @@ def notes(measurements: Sequence[Measurement]) -> list[str]:
         "Errors: geometric means (SSIM: arithmetic) over seeds, then scenes; the range is over seeds, and every method "
         "saw the same noisy frames. Worst: the largest ratio to the best method's error on any scene.",
         "Times: medians of runs after a warm-up, the methods in turn; most runs are of the first seed. Rendering holds "
-        "the cost of path descriptors for the methods that read them only. Cold: a fresh process loads all it needs "
+        "the cost of the path descriptors that a method looks at. Cold: a fresh process loads all it needs "
         "and denoises its first frame; peak: memory of that process above its inputs. Both are taken at the first "
         "seed, and once only for a method whose inputs have the same size at every spp.",
     ]

@@ -18,7 +18,8 @@ HEADER = (
 )
 NOTE = (
     "Geometric means over scenes of quotients: below 1 the method is better. At the same time: the other one's curve "
-    "between its spp. ~: on some scenes the time lies outside that curve, whose nearest point then stands for it."
+    "between its spp. ~: on some scenes the time lies outside that curve, whose first point or least error then stands "
+    "for it."
 )
 
 
@@ -42,8 +43,8 @@ def versus(measurements: Sequence[Measurement]) -> dict[str, Table]:
 def _row(measured: Sequence[Point], peer: str, method: str, spp: int) -> list[str]:
     pairs = []
     for own in measured:
-        if (own.method, own.spp) == (method, spp) and own.total_ms:
-            curve = [p for p in measured if (p.scene, p.method) == (own.scene, peer) and p.total_ms]
+        if (own.method, own.spp) == (method, spp) and own.total_ms and own.denoise_ms:
+            curve = [p for p in measured if (p.scene, p.method) == (own.scene, peer) and p.total_ms and p.denoise_ms]
             if same := [p for p in curve if p.spp == spp]:
                 pairs.append((own, same[0], curve))
     if not pairs:
