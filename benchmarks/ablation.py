@@ -35,8 +35,16 @@ from pathfold_training.config import Config, Pyramid, load_preset
 from pathfold_training.data import Stored, View
 from pathfold_training.fit import commit, fit, training_seconds
 from pathfold_training.networks import pathfold
-from pathfold_training.networks.pathfold import ALBEDO_EPSILON, Pathfold, Prediction, aligned, exact, reconstruct
-from pathfold_training.networks.reconstruct import bounded_exp, normalised, weigh_taps
+from pathfold_training.networks.pathfold import (
+    ALBEDO_EPSILON,
+    Filtered,
+    Pathfold,
+    Prediction,
+    aligned,
+    exact,
+    reconstruct,
+)
+from pathfold_training.networks.reconstruct import bounded_exp, gather_finest, normalised, weigh_taps
 from pathfold_training.score import load, score
 from torch import Tensor, nn
 
@@ -54,18 +62,17 @@ class SingleKernel(Pathfold):
 
     def predict(self, entrance: Tensor) -> Prediction:
         trust, (finest, *_) = self.features(entrance)
-        cleaning = None if self.cleaning is None else torch.sigmoid(exact(self.cleaning(finest)))
+        cleaning = None if self.cleaning is None else exact(self.cleaning(finest))
         return Prediction(trust, [exact(self.heads[0](finest))], cleaning)
 
-    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Tensor, list[Tensor], Tensor]:
+    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Filtered:
         predicted, paths = self(inputs, counts)
         factor = pathfold.demodulator(inputs) if self.network.demodulate else torch.ones_like(inputs["radiance"])
-        image, local = self.weigh(predicted, inputs["radiance"] / factor), factor
+        image = self.weigh(predicted, inputs["radiance"] / factor)
         if predicted.cleaning is not None:
-            height, width = factor.shape[-2:]
-            share = functional.pixel_shuffle(predicted.cleaning, 2)[:, :, :height, :width]
-            local = factor + share * (self.weigh(predicted, factor) - factor)
-        return image * local, predicted.logits, paths
+            valid = torch.isfinite(inputs["radiance"]).all(1, keepdim=True)
+            factor = gather_finest(functional.pixel_shuffle(predicted.cleaning, 2), factor, valid)
+        return Filtered(image * factor, predicted.logits, paths, None if self.cleaning is None else factor)
 
     @staticmethod
     def weigh(predicted: Prediction, image: Tensor) -> Tensor:
@@ -91,13 +98,14 @@ class SplitKernels(Pathfold):
             functional.pixel_unshuffle(aligned(torch.log1p(exposed)), 2)
         )
 
-    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Tensor, list[Tensor], Tensor]:
+    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Filtered:
         predicted, paths = self(inputs, counts)
         logits = [exact(level) for level in predicted.logits]
         diffuse, specular, factor = self.parts(inputs)
         own, other = zip(*(level.chunk(2, 1) for level in logits), strict=True)
-        image = reconstruct(predicted._replace(logits=list(own)), diffuse, factor)
-        return image + reconstruct(predicted._replace(logits=list(other)), specular, None), logits, paths
+        image, _ = reconstruct(predicted._replace(logits=list(own)), diffuse, factor)
+        rest, _ = reconstruct(predicted._replace(logits=list(other)), specular, None)
+        return Filtered(image + rest, logits, paths, None)
 
     @staticmethod
     def parts(inputs: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
@@ -137,6 +145,7 @@ VARIANTS = (
     Variant("manifold-low", "manifold loss, lambda 0.00125", {"loss": {"manifold": 0.00125}}),
     Variant("manifold", "manifold loss, lambda 0.0125", {"loss": {"manifold": 0.0125}}, all_seeds=True),
     Variant("manifold-high", "manifold loss, lambda 0.0625", {"loss": {"manifold": 0.0625}}),
+    Variant("all-samples", "all samples' paths embedded", {"network": {"embedded": 0}}),
     Variant("embedding-4", "4 embedding channels", {"network": {"embedding": 4}}),
     Variant("embedding-16", "16 embedding channels", {"network": {"embedding": 16}}),
     Variant("kernel-11", "one 11x11 kernel instead of the pyramid", {}, network=SingleKernel),

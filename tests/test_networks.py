@@ -7,7 +7,14 @@ import pytest
 import torch
 from pathfold_training.config import Network, load_preset, preset_names
 from pathfold_training.features import OPTIONAL
-from pathfold_training.losses import energy_error, manifold_loss, robust_relative, tone_map, unbiased_relative
+from pathfold_training.losses import (
+    albedo_error,
+    energy_error,
+    manifold_loss,
+    robust_relative,
+    tone_map,
+    unbiased_relative,
+)
 from pathfold_training.networks.embedding import PathEmbedding, pixel_embedding
 from pathfold_training.networks.kpcn import Branch, Kpcn, macs_per_pixel, overlap
 from pathfold_training.networks.reconstruct import gather
@@ -179,6 +186,19 @@ def test_energy_error_sees_darkening_and_not_noise() -> None:
     firefly[:, :, 3, 3] += 1e6
     assert float(energy_error(firefly, reference)) < 10  # the logarithm's tail
     assert float(energy_error(reference, reference)) == 0.0
+
+
+def test_a_noisy_target_does_not_bias_the_cleaned_albedo() -> None:
+    """Targets of 0 or 1: the loss is least at their mean. NaN targets and absent albedos say nothing."""
+    target = (torch.arange(1000) % 4 == 0).float().expand(1, 3, 10, 1000)
+    value = torch.tensor(0.25, requires_grad=True)
+    albedo_error(value.expand_as(target), target, torch.ones(1)).backward()
+    assert float(value.grad) == pytest.approx(0.0, abs=1e-5)
+    both, nothing = torch.cat([target, torch.full_like(target, torch.nan)]), torch.zeros(2)
+    cleaned = torch.full_like(both, 0.5)
+    once = albedo_error(cleaned[:1], target, torch.ones(1))
+    assert float(albedo_error(cleaned, both, torch.ones(2))) == pytest.approx(float(once) / 2)
+    assert float(albedo_error(cleaned, both, nothing)) == 0.0
 
 
 def test_robust_relative() -> None:

@@ -336,8 +336,8 @@ def test_no_more_samples_are_embedded_than_the_manifest_says(exported: tuple[Pat
     first = Denoiser(exported[0]).run(**buffers, samples={"descriptor": descriptor[:2]}, samples_per_pixel=3)
     np.testing.assert_array_equal(given.color, first.color)
     assert given.report["samples_per_pixel"] == 3
-    assert "path samples from 3 on" in [line["what"] for line in given.report["left_out"]]
-    assert not first.report["left_out"]
+    assert "of 3 samples' paths the model looks at the first 2" in given.report["notes"]
+    assert not [note for note in first.report["notes"] if "paths" in note]
 
 
 def test_an_export_says_how_many_samples_were_embedded(tmp_path: Path) -> None:

@@ -124,6 +124,27 @@ def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:
     assert not torch.equal(other.reference["color"], first[0].reference["color"])
 
 
+def test_the_albedo_is_told_by_samples_that_were_not_given(data_set: Path) -> None:
+    view = Stored(data_set).train[0]
+    stored = view.tensor("samples.albedo")[view.number].astype(np.float32)[:, :, 2:10, 4:12]
+    for first, count in ((0, 1), (1, 1), (view.samples - 2, 2)):
+        others = np.delete(stored, range(first, first + count), 0).mean(0)
+        np.testing.assert_allclose(view.albedo(2, 4, 8, first, count).numpy(), others, rtol=1e-3, atol=1e-4)
+    assert view.albedo(2, 4, 8, 0, view.samples // 2 + 1).isnan().all()
+
+
+def test_paths_of_the_first_samples_alone_are_read(data_set: Path) -> None:
+    view = Stored(data_set).train[0]
+    whole, _ = view.crop(0, 0, 16, 1, 3, ALL_SAMPLES)
+    part, _ = view.crop(0, 0, 16, 1, 3, 2)
+    for name, value in part.items():
+        fewer = name in ("samples.descriptor", "samples.density")
+        assert torch.equal(value, whole[name][:2] if fewer else whole[name])
+    inputs = frame_inputs(part, 1.0, 1.0)
+    assert inputs["samples.valid"].shape[0] == 2
+    assert torch.equal(inputs["variance"], frame_inputs(whole, 1.0, 1.0)["variance"])
+
+
 def test_variance_is_of_the_pixel_mean() -> None:
     rng = np.random.default_rng(0)
     blocks = torch.from_numpy(rng.exponential(2.0, (4000, 8, 3, 1, 1))).float()

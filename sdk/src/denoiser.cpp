@@ -106,7 +106,7 @@ private:
     template <typename Row>
     void copy_row(int branch, int x, int y, int width, const Row &row) const;
     void fill_pyramid(const Tile &tile, int branch, int planes);
-    void clean_factor(const Tile &tile, int branch, const PyramidLogits &logits, const Rect &core);
+    void clean_factor(const Tile &tile, int branch, const Rect &core);
     void fill_neighbourhood(const Tile &tile, int branch, int planes);
     const float *output(const std::string &name) const {
         return denoiser_.logits_.data() + offsets_.at(name);
@@ -267,7 +267,7 @@ void Denoiser::Run::filter(const Tile &tile, int branch) {
         const Rect core{tile.core.x - tile.window.x, tile.core.y - tile.window.y, tile.core.width,
                         tile.core.height};
         denoiser_.pyramid_.apply(threads_, logits, core, gathered_.data());
-        clean_factor(tile, branch, logits, core);
+        clean_factor(tile, branch, core);
     } else {
         fill_neighbourhood(tile, branch, planes);
         const size_t width = size_t(tile.window.width), plane = width * tile.window.height;
@@ -337,10 +337,8 @@ void Denoiser::Run::fill_pyramid(const Tile &tile, int branch, int planes) {
     });
 }
 
-/// The branch's factor for the tile, with a share of it, `cleaning`, replaced by what the finest kernels make
-/// of it.
-void Denoiser::Run::clean_factor(const Tile &tile, int branch, const PyramidLogits &logits,
-                                 const Rect &core) {
+/// The branch's factor for the tile, filtered by the kernels `cleaning`.
+void Denoiser::Run::clean_factor(const Tile &tile, int branch, const Rect &core) {
     const ActiveBranch &active = prepared_.branches[size_t(branch)];
     const Planes &factor = active.factor;
     const int planes = factor.channels(), width = tile.core.width, height = tile.core.height;
@@ -360,24 +358,18 @@ void Denoiser::Run::clean_factor(const Tile &tile, int branch, const PyramidLogi
     });
     const size_t plane = size_t(width) * height;
     std::vector<float> local(plane * (size_t(planes) + 1));
-    source.apply(threads_, logits, core, local.data());
+    PyramidLogits kernels; // of the finest level, without trust
+    kernels.levels[0] = output("cleaning");
+    source.apply(threads_, kernels, core, local.data());
     cleaned_ = Planes(planes, height, width);
-    const size_t half_width = size_t(Pyramid::rounded_up(window.width)) / 2;
-    const size_t phase = half_width * size_t(Pyramid::rounded_up(window.height)) / 2;
     for_rows(threads_, height, [&](int y) {
-        const int at_y = core.y + y;
-        const float *share =
-            output("cleaning") + size_t(at_y % 2) * 2 * phase + size_t(at_y / 2) * half_width;
         const float *known = local.data() + size_t(planes) * plane + size_t(y) * width;
         for (int c = 0; c < planes; ++c) {
-            const float *noisy = factor.row(c, tile.core.y + y) + tile.core.x,
-                        *clean = known - plane * size_t(planes - c);
+            const float *noisy = factor.row(c, tile.core.y + y) + tile.core.x;
+            const float *clean = known - plane * size_t(planes - c);
             float *to = cleaned_.row(c, y);
-            for (int x = 0; x < width; ++x) {
-                const int at_x = core.x + x;
-                const float part = std::clamp(share[size_t(at_x % 2) * phase + size_t(at_x / 2)], 0.0f, 1.0f);
-                to[x] = noisy[x] + part * known[x] * (clean[x] - noisy[x]);
-            }
+            for (int x = 0; x < width; ++x)
+                to[x] = known[x] > 0 ? clean[x] : noisy[x];
         }
     });
 }
@@ -540,8 +532,8 @@ void Denoiser::Run::report_inputs() {
         return;
     const ImageView &view = frame_.input("samples.descriptor");
     if (const int64_t most = manifest_.embedded_samples; most < view.samples())
-        report_.left_out.push_back({text("path samples from ", most + 1, " on"),
-                                    text("the model looks at the paths of ", most, " samples per pixel")});
+        report_.notes.push_back(
+            text("of ", view.samples(), " samples' paths the model looks at the first ", most));
     if (const int vertices = vertices_of(view.channels()); vertices < descriptor_vertices)
         report_.left_out.push_back({text("path vertices from ", vertices + 1, " on"),
                                     "no path of the frame has them: they are not given",

@@ -403,7 +403,7 @@ std::map<std::string, Shape> Manifest::outputs() const {
         {"logits.8", logits(level, "/8")},
         {"logits.16", logits(PyramidLogits::coarsest_channels, "/16")}};
     if (unsplit_branch().clean)
-        shapes["cleaning"] = logits(4, "/2");
+        shapes["cleaning"] = logits(4 * PyramidLogits::coarsest_channels, "/2");
     return shapes;
 }
 

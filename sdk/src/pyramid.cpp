@@ -253,10 +253,11 @@ void Pyramid::reset(int planes, int height, int width, int count) {
 
 void Pyramid::weigh(Threads &threads, const float *trust) {
     const size_t width = size_t(level_[1].width), plane = width * level_[1].height;
-    for_rows(threads, level_[0].height, [&](int y) {
-        const float *row = trust + size_t(y % 2) * 2 * plane + size_t(y / 2) * width;
-        HWY_DYNAMIC_DISPATCH(WeighRow)(level_[0], planes_, row, plane, y);
-    });
+    if (trust != nullptr)
+        for_rows(threads, level_[0].height, [&](int y) {
+            const float *row = trust + size_t(y % 2) * 2 * plane + size_t(y / 2) * width;
+            HWY_DYNAMIC_DISPATCH(WeighRow)(level_[0], planes_, row, plane, y);
+        });
     for (int l = 1; l < count_; ++l)
         for_rows(threads, level_[l].height,
                  [&](int y) { HWY_DYNAMIC_DISPATCH(HalveRow)(level_[l - 1], level_[l], planes_, y); });

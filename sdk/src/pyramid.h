@@ -11,7 +11,7 @@ namespace pathfold::core {
 
 /// What a network predicted for a window whose height and width are rounded up to multiples of 16.
 ///
-/// `trust` [4][H/2][W/2]: of each pixel, in [-9, 0]; channel 2 * (y % 2) + x % 2.
+/// `trust` [4][H/2][W/2]: of each pixel, in [-9, 0]; channel 2 * (y % 2) + x % 2. Null: 0 everywhere.
 /// `levels[0]` [4 * 30][H/2][W/2]: the finest level, channel 4 * c + 2 * (y % 2) + x % 2 for its logit c;
 /// `levels[l]` [30][H/2^l][W/2^l], the last one [25]. A level's logits: 25 of the 5 x 5 kernel, row by row, 4
 /// of the 2 x 2 upsampling, row by row, and the blend. Arrays may be read up to pyramid_slack floats past

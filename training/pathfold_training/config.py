@@ -42,9 +42,7 @@ class Pyramid(Strict):
     embedding: int = Field(8, ge=1, description="C: channels of the path embedding")
     embedded: int = Field(0, ge=0, description="the most samples of a pixel that are embedded; 0 for all of them")
     demodulate: bool = Field(True, description="radiance is divided by the noisy albedo while it is filtered")
-    clean: bool = Field(
-        False, description="and multiplied by an albedo that the finest kernels clean, where it is noisy"
-    )
+    clean: bool = Field(False, description="and multiplied by an albedo that 5x5 kernels of its own clean")
     scaled: bool = Field(False, description="descriptors enter the embedding with mean 0 and deviation 1")
 
     @property
@@ -63,6 +61,7 @@ class Loss(Strict):
 
     image: Literal["robust", "unbiased"] = "robust"  # the second for references of few samples
     energy: float = 0.0  # error of block means, against darkening
+    albedo: float = 0.0  # error of the cleaned albedo, for networks that clean it
     branch: float = 0.5  # per-branch terms beside the recombined image
     logits: float = 1.0e-4  # excess of |logit| over 10
     manifold: float = (

@@ -126,6 +126,16 @@ class View:
             inputs |= {name: read(name, *described) for name in PATH_NAMES}
         return inputs, {name.removeprefix("reference."): read(name, *whole) for name in REFERENCE_NAMES}
 
+    def albedo(self, y: int, x: int, size: int, first: int, count: int) -> Tensor:
+        """Mean albedo [3, h, w] of a crop over samples but [first, first + count); NaN if these are more than half."""
+        inside = slice(y, min(y + size, self.side)), slice(x, min(x + size, self.side))
+        if 2 * count > self.samples:
+            return torch.full((3, *(s.stop - s.start for s in inside)), math.nan)
+        tensor = self.tensor("samples.albedo")
+        others = [slice(a, b) for a, b in ((0, first), (first + count, self.samples)) if a < b]
+        values = np.concatenate([tensor[self.number, part, :, *inside] for part in others])
+        return torch.nan_to_num(torch.from_numpy(values).float(), 0.0, 0.0, 0.0).mean(0)
+
 
 def reduce_samples(samples: Inputs) -> Inputs:
     """Per-pixel buffers of a block of samples: means, and the unbiased variance of the radiance means."""
@@ -184,6 +194,7 @@ class Crops(IterableDataset):
         first = int(rng.integers(view.samples - number + 1))
         y, x = view.corner(self.data.crop, rng)
         samples, reference = view.crop(y, x, self.data.crop, first, number, self.paths)
+        reference["albedo"] = view.albedo(y, x, self.data.crop, first, number)
         if self.data.cleaned:
             reference["cleaned"] = view.cleaned[:, y : y + self.data.crop, x : x + self.data.crop]
         augment(samples, reference, rng, self.data.normal_turn)

@@ -189,7 +189,9 @@ def plain_weights(task: Denoising) -> dict[str, torch.Tensor]:
 def checkpoint_weights(checkpoint: Path) -> dict[str, torch.Tensor]:
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
     task = Denoising(Config.model_validate(state["hyper_parameters"]["config"]))
-    task.load_state_dict(state["state_dict"])
+    fresh = task.state_dict()  # a network that cleaned otherwise: that head begins anew
+    other = {n: v for n, v in fresh.items() if "cleaning" in n and state["state_dict"][n].shape != v.shape}
+    task.load_state_dict(state["state_dict"] | other)
     return plain_weights(task)
 
 

@@ -47,6 +47,17 @@ def energy_error(output: Tensor, reference: Tensor) -> Tensor:
     return robust_relative(means, right, torch.sqrt(right.square() + ENERGY_EPSILON**2))
 
 
+def albedo_error(cleaned: Tensor, target: Tensor, present: Tensor) -> Tensor:
+    """Mean of ((c - t) / sqrt(c^2 + eps))^2 with the c below held fixed, as unbiased_relative; both B x 3 x H x W.
+
+    So the target may be noisy as long as its noise is not the input's. Images without an albedo (`present` [B] of 0 and
+    1), or without such a target (NaN), count as 0.
+    """
+    known = present * torch.isfinite(target).all(-1).all(-1).all(-1).to(present.dtype)
+    error = (cleaned - torch.nan_to_num(target)).square() / (cleaned.detach().square() + RELATIVE_EPSILON)
+    return (known * error.mean((1, 2, 3))).mean()
+
+
 def unbiased_relative(output: Tensor, reference: Tensor) -> Tensor:
     """Mean of ((x - r) / sqrt(x^2 + eps))^2 with the x below held fixed, exposed radiance (Noise2Noise's HDR loss).
 

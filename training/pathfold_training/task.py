@@ -15,9 +15,18 @@ from torch import Tensor
 from .config import Config, Pyramid
 from .data import Batch, Inputs
 from .features import DEMODULATION_EPSILON
-from .losses import energy_error, error_scale, logit_excess, manifold_loss, robust_relative, tone_map, unbiased_relative
+from .losses import (
+    albedo_error,
+    energy_error,
+    error_scale,
+    logit_excess,
+    manifold_loss,
+    robust_relative,
+    tone_map,
+    unbiased_relative,
+)
 from .networks.kpcn import Kpcn, path_features
-from .networks.pathfold import Pathfold
+from .networks.pathfold import ALBEDO_EPSILON, Pathfold
 from .networks.reconstruct import gather
 
 
@@ -118,7 +127,7 @@ class Denoising(lightning.LightningModule):
 
     def pyramid_loss(self, model: Pathfold, batch: Batch) -> Tensor:
         inputs, exposure = batch.inputs | {"radiance": batch.inputs["color"]}, batch.inputs["exposure"]
-        image, logits, paths = model.filter(inputs, batch.counts)
+        image, logits, paths, cleaned = model.filter(inputs, batch.counts)
         reference = batch.reference["color"] * exposure.reshape(-1, 1, 1, 1)
         exposed = image * exposure.reshape(-1, 1, 1, 1)
         target = batch.reference.get("cleaned", batch.reference["color"]) * exposure.reshape(-1, 1, 1, 1)
@@ -128,6 +137,10 @@ class Denoising(lightning.LightningModule):
             energy = energy_error(exposed, reference)  # not against what is cleaned: OIDN darkens by 1 %
             loss = loss + self.config.loss.energy * energy
             self.log("energy", energy, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
+        if self.config.loss.albedo > 0.0 and cleaned is not None:
+            albedo = albedo_error(cleaned - ALBEDO_EPSILON, batch.reference["albedo"], inputs["albedo.present"])
+            loss = loss + self.config.loss.albedo * albedo
+            self.log("albedo", albedo, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         if self.config.loss.manifold > 0.0:
             pairs = self.config.loss.manifold_pairs
             manifold = manifold_loss(paths, tone_map(target), batch.counts, pairs, self.generator, **self.sharing())

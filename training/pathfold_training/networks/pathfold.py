@@ -17,7 +17,7 @@ from ..config import Pyramid
 from ..features import DESCRIPTOR_CHANNELS
 from .embedding import INPUT_DEVIATION, INPUT_MEAN, sample_sum
 from .kpcn import path_features
-from .reconstruct import COARSEST_LOGITS, LEVEL_LOGITS, gather_finest, gather_pyramid
+from .reconstruct import COARSEST_LOGITS, KERNEL_TAPS, LEVEL_LOGITS, gather_finest, gather_pyramid
 
 LEVELS = 5
 ALIGNMENT = 1 << (LEVELS - 1)
@@ -27,7 +27,8 @@ ALBEDO_EPSILON = 0.01  # of the demodulator albedo + epsilon: bounds what a blac
 SAMPLE_WIDTH = 32
 HEADS = [4 * LEVEL_LOGITS + LEVEL_LOGITS, LEVEL_LOGITS, LEVEL_LOGITS, COARSEST_LOGITS]  # channels from 1/2 to 1/16
 TRUST_START = -2.0  # sigmoid(-2) * -9 = -1.1: room on both sides of the initial trust
-CLEANING_START = -3.0  # sigmoid(-3) = 0.05: the albedo nearly as it is
+CLEANING_TAPS = len(KERNEL_TAPS)
+CLEANING_START = 6.0  # of the kernel's centre: 0.94 of the albedo stays as it is
 
 
 class Prediction(NamedTuple):
@@ -37,7 +38,16 @@ class Prediction(NamedTuple):
     logits: list[
         Tensor
     ]  # from 1/2 to 1/16; at 1/2 level 0's, four pixels as above, then level 1's: B x 150 x H/2 x W/2
-    cleaning: Tensor | None  # B x 4 x H/2 x W/2 in [0, 1]; None where the albedo is not cleaned
+    cleaning: Tensor | None  # B x 100 x H/2 x W/2, the logits of 5x5 kernels; None where the albedo is not cleaned
+
+
+class Filtered(NamedTuple):
+    """Frames that were denoised, and what the losses need of how."""
+
+    image: Tensor  # radiance B x 3 x H x W, linear and unexposed
+    logits: list[Tensor]
+    paths: Tensor  # embeddings N x C x H x W
+    cleaned: Tensor | None  # B x 3 x H x W, the cleaned factor that it was multiplied by; None where none was cleaned
 
 
 def block(inputs: int, width: int, count: int) -> nn.Sequential:
@@ -99,7 +109,7 @@ class Pathfold(nn.Module):
         self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(widths))
         self.up = nn.ModuleList(block(a, a, n) for a, n in zip(widths[:-1], counts[:-1], strict=True))
         self.trust = nn.Conv2d(widths[0], 4, 1)
-        self.cleaning = nn.Conv2d(widths[0], 4, 1) if network.demodulate and network.clean else None
+        self.cleaning = nn.Conv2d(widths[0], 4 * CLEANING_TAPS, 1) if network.demodulate and network.clean else None
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, HEADS, strict=True))
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
@@ -111,7 +121,8 @@ class Pathfold(nn.Module):
         self.trust.bias.data.fill_(TRUST_START)  # type: ignore[union-attr]
         if self.cleaning is not None:
             self.cleaning.weight.data.zero_()
-            self.cleaning.bias.data.fill_(CLEANING_START)  # type: ignore[union-attr]
+            centre = CLEANING_TAPS // 2
+            self.cleaning.bias.data[4 * centre : 4 * centre + 4] = CLEANING_START  # type: ignore[union-attr]
 
     def forward(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Prediction, Tensor]:
         """What is predicted, and the embeddings N x C x H x W of the samples."""
@@ -148,7 +159,7 @@ class Pathfold(nn.Module):
     def predict(self, entrance: Tensor) -> Prediction:
         """The U-Net and its heads."""
         trust, decoded = self.features(entrance)
-        cleaning = None if self.cleaning is None else torch.sigmoid(exact(self.cleaning(decoded[0])))
+        cleaning = None if self.cleaning is None else exact(self.cleaning(decoded[0]))
         return Prediction(trust, [head(x) for head, x in zip(self.heads, decoded, strict=True)], cleaning)
 
     def output_shapes(self) -> dict[str, list[int | str]]:
@@ -156,35 +167,34 @@ class Pathfold(nn.Module):
         shapes: dict[str, list[int | str]] = {"trust": [1, 4, "H/2", "W/2"]}
         for level, channels in enumerate(HEADS, 1):
             shapes[f"logits.{1 << level}"] = [1, channels, f"H/{1 << level}", f"W/{1 << level}"]
-        return shapes if self.cleaning is None else shapes | {"cleaning": shapes["trust"]}
+        return shapes if self.cleaning is None else shapes | {"cleaning": [1, 4 * CLEANING_TAPS, "H/2", "W/2"]}
 
-    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Tensor, list[Tensor], Tensor]:
-        """The denoised radiance B x 3 x H x W, linear and unexposed; the logits; the embeddings."""
+    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Filtered:
+        """Predict, and apply it to the frames."""
         predicted, paths = self(inputs, counts)
         with torch.autocast(paths.device.type, enabled=False):
             predicted = predicted._replace(logits=[exact(part) for part in predicted.logits])
             factor = demodulator(inputs) if self.network.demodulate else None
-            return reconstruct(predicted, inputs["radiance"], factor), predicted.logits, paths
+            image, cleaned = reconstruct(predicted, inputs["radiance"], factor)
+            return Filtered(image, predicted.logits, paths, None if self.cleaning is None else cleaned)
 
 
-def reconstruct(predicted: Prediction, radiance: Tensor, factor: Tensor | None) -> Tensor:
-    """What was predicted, applied to radiance B x 3 x H x W, which is divided by `factor` while it is filtered.
+def reconstruct(predicted: Prediction, radiance: Tensor, factor: Tensor | None) -> tuple[Tensor, Tensor | None]:
+    """What was predicted, applied to radiance B x 3 x H x W, and what it was multiplied by.
 
-    With `cleaning` it is multiplied by a cleaned one: that share of it is what the finest level's kernels alone make of
-    `factor`. Where irradiance is smooth the coarser levels leave these kernels to it.
+    It is divided by `factor` while it is filtered, and multiplied by that or, with `cleaning`, by what its own kernels
+    make of it: noise of an albedo is not that of the radiance.
     """
     fine, half = torch.split(predicted.logits[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
     trust, finest = functional.pixel_shuffle(predicted.trust, 2), functional.pixel_shuffle(fine, 2)
     levels = [finest, half, *predicted.logits[1:]]
     if factor is None:
-        return gather_pyramid(trust, levels, radiance)
+        return gather_pyramid(trust, levels, radiance), None
     filtered = gather_pyramid(trust, levels, radiance / factor)
-    if predicted.cleaning is None:
-        return filtered * factor
-    height, width = radiance.shape[-2:]
-    share = functional.pixel_shuffle(predicted.cleaning, 2)[:, :, :height, :width].clamp(0.0, 1.0)
-    local = gather_finest(trust, finest, factor, torch.isfinite(radiance).all(1, keepdim=True))
-    return filtered * (factor + share * (local - factor))
+    if predicted.cleaning is not None:
+        valid = torch.isfinite(radiance).all(1, keepdim=True)
+        factor = gather_finest(functional.pixel_shuffle(predicted.cleaning, 2), factor, valid)
+    return filtered * factor, factor
 
 
 def demodulator(inputs: dict[str, Tensor]) -> Tensor:
@@ -275,10 +285,11 @@ def overlap(network: Pyramid) -> int:
 def macs_per_pixel(network: Pyramid, spp: int) -> float:
     """Multiply-adds of the convolutions per output pixel, from the layers' sizes."""
     model, total = Pathfold(network), 0.0
+    seen = min(spp, network.path_samples)
     for name, module in model.named_modules():
         if isinstance(module, nn.Conv2d):
             parts = name.split(".")
             level = int(parts[1]) + 1 if parts[0] in ("down", "up", "heads") else 1
             level = int(parts[1]) + 2 if parts[0] == "project" else level
-            total += module.weight.numel() * (spp if parts[0] == "sample" else 0.25**level)
+            total += module.weight.numel() * (seen if parts[0] == "sample" else 0.25**level)
     return total

@@ -88,14 +88,14 @@ def gather_pyramid(trust: Tensor, levels: list[Tensor], radiance: Tensor) -> Ten
     return result[:, :, :height, :width]
 
 
-def gather_finest(trust: Tensor, finest: Tensor, values: Tensor, valid: Tensor) -> Tensor:
-    """F_0 of gather_pyramid, for other values than radiance: B x C x H x W; where no tap is valid, the value itself.
+def gather_finest(logits: Tensor, values: Tensor, valid: Tensor) -> Tensor:
+    """F_0 of gather_pyramid without trust: B x C x H x W; where no tap is valid, the value itself.
 
-    trust and `finest` as there, values finite, `valid` B x 1 x H x W of the radiance.
+    logits B x 25 x H' x W' as of its finest level, values finite, `valid` B x 1 x H x W.
     """
     height, width = values.shape[-2:]
-    source = trusted(trust, values, valid)
-    local, known = normalised(weigh_taps(bounded_exp(finest[:, : len(KERNEL_TAPS)]), source, KERNEL_TAPS, 2))
+    source = trusted(torch.zeros_like(logits[:, :1]), values, valid)
+    local, known = normalised(weigh_taps(bounded_exp(logits), source, KERNEL_TAPS, 2))
     return torch.where(known[:, :, :height, :width] > 0.0, local[:, :, :height, :width], values)
 
 

@@ -1,0 +1,65 @@
+"""How well a pathfold network cleans the albedo: python benchmarks/albedo.py runs/balanced/last.ckpt data [--spp 8]
+
+Of held-out views, by how noisy the albedo is: the squared relative error of the pixel mean as it came and as the
+network makes it, against the view's other samples, whose own noise is taken off. Markdown to the terminal.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pathfold_training.data import Stored, ValidationViews, View
+from pathfold_training.networks.pathfold import ALBEDO_EPSILON, Pathfold
+from pathfold_training.score import load
+from pathfold_training.task import Denoising
+
+BOUNDS = (0.005, 0.03, 0.1)  # between classes: standard deviation of the pixel's mean albedo over the albedo
+CLASSES = ("below 0.005", "to 0.03", "to 0.1", "above")
+EPSILON = 0.01
+
+
+def errors(task: Denoising, view: View, spp: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Each pixel's class, H x W, and the errors of its noisy and cleaned albedo, 2 x H x W."""
+    batch = ValidationViews([view], task.config.network.path_samples, spp)[0]
+    with torch.no_grad():
+        cleaned = task.model.filter(batch.inputs | {"radiance": batch.inputs["color"]}, batch.counts).cleaned
+    samples = np.nan_to_num(view.tensor("samples.albedo")[view.number].astype(np.float64), posinf=0.0, neginf=0.0)
+    given, others = samples[:spp], samples[spp:]
+    truth = others.mean(0)
+    noise = others.var(0, ddof=1) / len(others)
+    known = np.stack([given.mean(0), cleaned[0].numpy() - ALBEDO_EPSILON])
+    squared = ((known - truth) ** 2 - noise) / (truth**2 + EPSILON)
+    spread = given.std(0, ddof=1).mean(0) / np.sqrt(spp) / (given.mean((0, 1)) + EPSILON)
+    return np.digitize(spread, BOUNDS), squared.mean(1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--spp", type=int, default=8)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    task = load(options.checkpoint)
+    if not isinstance(task.model, Pathfold) or task.model.cleaning is None:
+        raise SystemExit(f"{options.checkpoint}: does not clean its albedo; name one of a pathfold preset")
+    views = [view for view in Stored(options.data).held_out() if view.samples >= 2 * options.spp]
+    if not views:
+        raise SystemExit(f"{options.data}: no held-out view has {2 * options.spp} samples; lower --spp")
+    found = [errors(task, view, options.spp) for view in views]
+    kinds = np.concatenate([kind.ravel() for kind, _ in found])
+    squared = np.concatenate([error.reshape(2, -1) for _, error in found], 1)
+    print(f"{len(views)} held-out views, {options.spp} spp\n")
+    print("| deviation of the albedo | pixels | error as it came | cleaned |\n|---|---|---|---|")
+    for kind, name in enumerate(CLASSES):
+        here = kinds == kind
+        came, cleaned = squared[:, here].mean(1)
+        print(f"| {name} | {here.mean():.1%} | {came:.5f} | {cleaned:.5f} |")
+
+
+if __name__ == "__main__":
+    main()
