@@ -27,6 +27,8 @@ def model_card(manifest: dict[str, Any], errors: str = "") -> str:
         seconds = [seconds[0] + start["seconds"], seconds[1] + start["cpu_seconds"]]
     side = manifest["reconstruction"].get("size")
     operator = f"both branches, plus the {side}x{side} gather" if side else "plus the gather pyramid"
+    embedded = manifest["samples_per_pixel"].get("embedded")
+    paths = f"; the paths of the first {embedded} are looked at" if embedded else ""
     cost = f"{training['kmac_per_pixel']:.0f} kMAC per pixel at 8 spp, {operator}"
     steps = f"{training['steps']} of {crops['batch']} crops of {crops['crop']}x{crops['crop']} pixels{begun}"
     precision = manifest["precision"]
@@ -35,6 +37,8 @@ def model_card(manifest: dict[str, Any], errors: str = "") -> str:
     loss = config["loss"]
     weights = f"{loss.get('image', 'robust')} relative error of the image"
     weights += f", {loss['branch']:g} on each branch" if side else ""  # a pyramid has but one
+    names = {"energy": "means of 16x16 blocks", "albedo": "the cleaned albedo"}
+    weights += "".join(f", {loss[name]:g} on {what}" for name, what in names.items() if loss.get(name))
     weights += f", manifold lambda {loss['manifold']:g}"
     rate = f"{optimiser['learning_rate']:g} with a cosine to {optimiser['final_fraction']:g} of it"
     return f"""---
@@ -53,7 +57,7 @@ tags: [monte-carlo-denoising, kernel-prediction]
 | uses if given | {", ".join(manifest["uses"])} |
 | cost | {cost} |
 | tile | overlap {manifest["tile"]["overlap"]} px, alignment {manifest["tile"]["alignment"]} |
-| samples per pixel | trained on {crops["spp_min"]} to {crops["spp_max"]} |
+| samples per pixel | trained on {crops["spp_min"]} to {crops["spp_max"]}{paths} |
 | precision | {precision} |
 
 ## Training
