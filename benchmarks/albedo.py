@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from pathfold_training.data import Stored, ValidationViews, View
+from pathfold_training.losses import RELATIVE_EPSILON
 from pathfold_training.networks.pathfold import ALBEDO_EPSILON, Pathfold
 from pathfold_training.score import load
 from pathfold_training.task import Denoising
 
 BOUNDS = (0.005, 0.03, 0.1)  # between classes: standard deviation of the pixel's mean albedo over the albedo
 CLASSES = ("below 0.005", "to 0.03", "to 0.1", "above")
-EPSILON = 0.01
 
 
 def errors(task: Denoising, view: View, spp: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -32,8 +32,8 @@ def errors(task: Denoising, view: View, spp: int) -> tuple[NDArray[np.int64], ND
     truth = others.mean(0)
     noise = others.var(0, ddof=1) / len(others)
     known = np.stack([given.mean(0), cleaned[0].numpy() - ALBEDO_EPSILON])
-    squared = ((known - truth) ** 2 - noise) / (truth**2 + EPSILON)
-    spread = given.std(0, ddof=1).mean(0) / np.sqrt(spp) / (given.mean((0, 1)) + EPSILON)
+    squared = ((known - truth) ** 2 - noise) / (truth**2 + RELATIVE_EPSILON)
+    spread = given.std(0, ddof=1).mean(0) / np.sqrt(spp) / (given.mean((0, 1)) + RELATIVE_EPSILON)
     return np.digitize(spread, BOUNDS), squared.mean(1)
 
 

@@ -54,7 +54,9 @@ def seconds(run: Callable[[], Any]) -> tuple[float, Any]:
 
 def measure(config: Config, data: Path, batches: int) -> dict[str, float]:
     """Medians in seconds for a batch and for a step of training on it, and megabytes of tensors a second."""
-    stream = iter(Crops(Stored(data), config.data, seed=0, paths=config.network.path_samples))
+    stream = iter(
+        Crops(Stored(data), config.data, seed=0, paths=config.network.path_samples, albedo=config.loss.albedo > 0.0)
+    )
     task = Denoising(config)
     task.log = lambda *_, **__: None  # type: ignore[method-assign]
     task.trainer = SimpleNamespace(world_size=1, global_rank=0, global_step=0)  # type: ignore[assignment]

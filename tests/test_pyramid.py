@@ -27,7 +27,7 @@ TINY = Config(
     name="tiny",
     description="a network for tests",
     network=SMALL,
-    loss=Loss(manifold=0.0125, manifold_pairs=256),
+    loss=Loss(albedo=0.5, manifold=0.0125, manifold_pairs=256),
     data=Data(crop=32, batch=2, spp_max=4, drop_paths=0.5),
     optimiser=Optimiser(steps=4, precision="fp32", warmup=1, average=0.9),
 )
@@ -322,3 +322,18 @@ def test_a_wider_network_begins_as_the_narrow_one(tmp_path, scaled: bool) -> Non
     with pytest.raises(ValueError, match=r"does not fit preset 'tiny'"):
         shrunk = SMALL.model_copy(update={"widths": (8, 16, 16, 16)})
         warm_start(Denoising(TINY.model_copy(update={"network": shrunk})), narrow)
+
+
+def test_a_network_that_cleaned_otherwise_is_a_start_without_its_cleaning(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """Its head had a share for each of four pixels; the kernels begin anew, all else goes on."""
+    checkpoint = fit(TINY, write_data_set(tmp_path / "data"), tmp_path / "run", validate_every=1000, threads=1)
+    state = torch.load(checkpoint, weights_only=True)
+    for name in ("weight", "bias"):
+        state["state_dict"][f"model.cleaning.{name}"] = state["state_dict"][f"model.cleaning.{name}"][:4] + 1.0
+    torch.save(state, checkpoint)
+    task = Denoising(TINY)
+    fresh = {name: value.clone() for name, value in task.model.cleaning.state_dict().items()}
+    warm_start(task, checkpoint)
+    for name, value in task.model.cleaning.state_dict().items():
+        torch.testing.assert_close(value, fresh[name], rtol=0, atol=0)
+    torch.testing.assert_close(task.model.first.weight, state["state_dict"]["model.first.weight"])

@@ -160,8 +160,8 @@ class Crops(IterableDataset):
     """An endless stream of training Batches, each mixed from all views; the same seed gives the same stream.
 
     `views` gives the views to draw from at a step, `paths` is of how many samples of a pixel descriptors are read at
-    most. Of `processes` that train together each draws its share of every
-    batch; the shares together are what one process would draw.
+    most, `albedo` whether a target for a cleaned albedo is. Of `processes` that train together each draws its share of
+    every batch; the shares together are what one process would draw.
     """
 
     def __init__(
@@ -170,6 +170,7 @@ class Crops(IterableDataset):
         data: Data,
         seed: int,
         paths: int,
+        albedo: bool = False,
         skip: int = 0,
         process: int = 0,
         processes: int = 1,
@@ -177,7 +178,7 @@ class Crops(IterableDataset):
         super().__init__()
         if data.batch % processes:
             raise ValueError(f"a batch of {data.batch} cannot be shared by {processes} processes; make it a multiple")
-        self.views, self.data, self.seed, self.paths, self.skip = views, data, seed, paths, skip
+        self.views, self.data, self.seed, self.paths, self.albedo, self.skip = views, data, seed, paths, albedo, skip
         share = data.batch // processes
         self.items = range(process * share, (process + 1) * share)
 
@@ -194,7 +195,8 @@ class Crops(IterableDataset):
         first = int(rng.integers(view.samples - number + 1))
         y, x = view.corner(self.data.crop, rng)
         samples, reference = view.crop(y, x, self.data.crop, first, number, self.paths)
-        reference["albedo"] = view.albedo(y, x, self.data.crop, first, number)
+        if self.albedo:
+            reference["albedo"] = view.albedo(y, x, self.data.crop, first, number)
         if self.data.cleaned:
             reference["cleaned"] = view.cleaned[:, y : y + self.data.crop, x : x + self.data.crop]
         augment(samples, reference, rng, self.data.normal_turn)

@@ -115,7 +115,7 @@ def fit(
     views = LiveViews(data, seed, **process) if isinstance(data, Live) else Stored(data)
     held_out = views.held_out()
     views(done)  # on the fly: the first are rendered before the clock of training runs
-    crops = Crops(views, config.data, seed, paths, skip=done, **process)
+    crops = Crops(views, config.data, seed, paths, albedo=config.loss.albedo > 0.0, skip=done, **process)
     record = partial(write_record, out, config, views.lines, seed, start_from, commit())  # of the code that runs
     record()
     # batches are made whole by the data sets; one process keeps the batch stream and the resume exact
