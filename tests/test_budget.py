@@ -10,6 +10,7 @@ import pytest
 from exr_files import noise, part, write
 from pathfold import Budget, Denoiser, PathfoldError, budget, denoise, memory
 from pathfold.cli import app, console
+from pathfold.report.results import geometric
 
 PLENTY = 1e5
 SIZES = [(7, 4, 4), (100, 64, 16), (64, 64, 112), (1, 4, 68), (130, 40, 0)]
@@ -75,6 +76,16 @@ def test_models_are_tried_in_order_among_those_that_can_read_the_frame(monkeypat
     samples = {"samples.descriptor": np.zeros((2, height, width, 36), np.float16)}
     samples["samples.density"] = np.zeros((2, height, width, 1), np.float32)
     assert chooser.choose(frame() | samples).denoiser.model.name == "samples-5"
+
+
+def test_the_model_with_the_least_error_in_the_results_is_tried_first() -> None:
+    kept = Path(__file__).parent.parent / "docs" / "results" / "validation-8spp" / "results.jsonl"
+    errors: dict[str, list[float]] = {}
+    for line in kept.read_text().splitlines():
+        row = json.loads(line)
+        errors.setdefault(row["method"], []).append(row["rell2"])
+    known = sorted(set(budget.PREFERRED) & errors.keys(), key=lambda name: geometric(errors[name]))
+    assert known == list(budget.PREFERRED)
 
 
 @pytest.mark.usefixtures("tiny")
