@@ -61,18 +61,17 @@ class SingleKernel(Pathfold):
         self.heads = nn.ModuleList([empty_head(network.widths[0], 4 * SIDE * SIDE)])
 
     def predict(self, entrance: Tensor) -> Prediction:
-        trust, (finest, *_) = self.features(entrance)
-        cleaning = None if self.cleaning is None else exact(self.cleaning(finest))
+        trust, cleaning, (finest, *_) = self.features(entrance)
         return Prediction(trust, [exact(self.heads[0](finest))], cleaning)
 
     def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Filtered:
         predicted, paths = self(inputs, counts)
         factor = pathfold.demodulator(inputs) if self.network.demodulate else torch.ones_like(inputs["radiance"])
-        image = self.weigh(predicted, inputs["radiance"] / factor)
         if predicted.cleaning is not None:
             valid = torch.isfinite(inputs["radiance"]).all(1, keepdim=True)
             factor = gather_finest(functional.pixel_shuffle(predicted.cleaning, 2), factor, valid)
-        return Filtered(image * factor, predicted.logits, paths, None if self.cleaning is None else factor)
+        image = self.weigh(predicted, inputs["radiance"] / factor)
+        return Filtered(image * factor, predicted.logits, paths, None if self.albedo_kernels is None else factor)
 
     @staticmethod
     def weigh(predicted: Prediction, image: Tensor) -> Tensor:

@@ -64,7 +64,7 @@ def measure(
         shot = subject.shoot(0, spp, seed, recorded, reference.size, False)
         for name, (candidate, run) in methods.items():
             read = {buffer: shot.buffers[buffer] for buffer in candidate.reads & shot.buffers.keys()}
-            spreads[name].add(run(read, None), reference)
+            spreads[name].add(run(read, None, spp), reference)
         print(f"{subject.name}, {spp} spp, seed {seed}", file=sys.stderr, flush=True)
     return {name: spread.summary(reference) for name, spread in spreads.items()}
 

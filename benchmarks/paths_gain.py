@@ -90,10 +90,12 @@ def smooth(plane: Plane, size: int) -> Plane:
     return np.asarray(uniform_filter(plane, size, mode="nearest"))
 
 
-def measure(buffers: Buffers, reference: Reference, run: candidates.Run, picture: Path | None) -> dict[str, Any]:
+def measure(
+    buffers: Buffers, spp: int, reference: Reference, run: candidates.Run, picture: Path | None
+) -> dict[str, Any]:
     """Errors with and without the samples, and their sums over each class of pixels."""
     pixels = {name: values for name, values in buffers.items() if not name.startswith("samples.")}
-    images = {"with": run(buffers, None), "without": run(pixels, None)}
+    images = {"with": run(buffers, None, spp), "without": run(pixels, None, spp)}
     maps = {name: error_map(image, reference) for name, image in images.items()}
     found: dict[str, Any] = {}
     for name, image in images.items():
@@ -223,7 +225,7 @@ def main() -> None:
                 if "samples.descriptor" not in shot.buffers:
                     raise SystemExit(f"{subject.name} has no samples: paths cannot be compared; render it with them")
                 picture = options.output / f"{subject.name}-{spp}spp.jpg" if seed == 0 else None
-                row = key | measure(shot.buffers, reference, run, picture)
+                row = key | measure(shot.buffers, spp, reference, run, picture)
                 with kept.open("a") as file:
                     file.write(json.dumps(row) + "\n")
                 print(

@@ -401,11 +401,24 @@ def test_a_model_is_measured_in_a_precision(tiny: Path) -> None:
     ]
     assert exact.identity != rounded.identity  # a variant may be written anew without the rest
     color = np.random.default_rng(0).exponential(1.0, (20, 30, 3)).astype(np.float32)
-    assert (exact.load()({"color": color}, 1.0) != rounded.load()({"color": color}, 1.0)).any()
+    assert (exact.load()({"color": color}, 1.0, 0) != rounded.load()({"color": color}, 1.0, 0)).any()
     with pytest.raises(PathfoldError, match="single-3:int8: the model has no int8, only fp32"):
         candidates.find("single-3:int8")
     with pytest.raises(PathfoldError, match="int8"):
         candidates.find("int8")
+
+
+def test_a_frame_has_as_many_samples_as_it_says() -> None:
+    """The shipped model that looks at one sample's paths still knows the variance of all."""
+    candidate = candidates.find("pathfold-fast")
+    assert candidate.path_samples == 1
+    draw = np.random.default_rng(1)
+    buffers = {name: draw.exponential(1.0, (20, 30, 3)).astype(np.float32) for name in ("color", "variance", "albedo")}
+    buffers["samples.descriptor"] = draw.normal(0.0, 1.0, (4, 20, 30, 36)).astype(np.float32)
+    first = {**buffers, "samples.descriptor": buffers["samples.descriptor"][:1]}
+    run = candidate.load()
+    np.testing.assert_array_equal(run(first, 1.0, 4), run(buffers, 1.0, 0))
+    assert (run(first, 1.0, 0) != run(buffers, 1.0, 0)).any()  # of one sample nothing has a variance
 
 
 def test_a_models_fingerprint_is_of_what_its_results_depend_on(tiny_models: Path) -> None:

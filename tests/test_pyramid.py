@@ -169,11 +169,14 @@ def test_the_albedo_is_cleaned_by_kernels_of_its_own() -> None:
         shuffle(trust, 2), [torch.cat([shuffle(levels[0], 2), levels[1]], 1), *levels[2:]], shuffle(own, 2)
     )
     factor = 0.1 + noise(32, 32) / 100
-    out, cleaned = reconstruct(predicted, 5.0 * factor, factor)  # one irradiance everywhere
+    radiance = noise(32, 32, seed=2)
+    out, cleaned = reconstruct(predicted, radiance, factor)
     assert cleaned is not None
     torch.testing.assert_close(cleaned, gather_finest(own, factor, torch.ones((1, 1, 32, 32), dtype=torch.bool)))
-    torch.testing.assert_close(out, 5.0 * cleaned)
     assert (cleaned - factor).abs().max() > 0.1 * factor.mean()
+    torch.testing.assert_close(out, cleaned * gather_pyramid(trust, levels, radiance / cleaned))  # in and out alike
+    out, _ = reconstruct(predicted, 5.0 * cleaned, factor)  # one irradiance everywhere
+    torch.testing.assert_close(out, 5.0 * cleaned)
 
 
 def test_gradient_by_hand() -> None:
@@ -198,7 +201,7 @@ def awake(network: Pyramid, seed: int = 0) -> Pathfold:
     """A network whose heads, which start at zero, are random too."""
     torch.manual_seed(seed)
     model = Pathfold(network)
-    for head in (model.trust, *model.heads, model.presence, *([model.cleaning] if model.cleaning else [])):
+    for head in (model.trust, *model.heads, model.presence, *([model.albedo_kernels] if model.albedo_kernels else [])):
         torch.nn.init.normal_(head.weight, std=0.1)  # type: ignore[arg-type]
     return model.eval()
 
@@ -325,15 +328,17 @@ def test_a_wider_network_begins_as_the_narrow_one(tmp_path, scaled: bool) -> Non
 
 
 def test_a_network_that_cleaned_otherwise_is_a_start_without_its_cleaning(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Its head had a share for each of four pixels; the kernels begin anew, all else goes on."""
+    """Its head read the U-Net's last features; the kernels begin anew, all else goes on."""
     checkpoint = fit(TINY, write_data_set(tmp_path / "data"), tmp_path / "run", validate_every=1000, threads=1)
     state = torch.load(checkpoint, weights_only=True)
     for name in ("weight", "bias"):
-        state["state_dict"][f"model.cleaning.{name}"] = state["state_dict"][f"model.cleaning.{name}"][:4] + 1.0
+        state["state_dict"][f"model.cleaning.{name}"] = state["state_dict"].pop(f"model.albedo_kernels.{name}") + 1.0
     torch.save(state, checkpoint)
     task = Denoising(TINY)
-    fresh = {name: value.clone() for name, value in task.model.cleaning.state_dict().items()}
+    assert isinstance(task.model, Pathfold)
+    assert task.model.albedo_kernels is not None
+    fresh = {name: value.clone() for name, value in task.model.albedo_kernels.state_dict().items()}
     warm_start(task, checkpoint)
-    for name, value in task.model.cleaning.state_dict().items():
+    for name, value in task.model.albedo_kernels.state_dict().items():
         torch.testing.assert_close(value, fresh[name], rtol=0, atol=0)
     torch.testing.assert_close(task.model.first.weight, state["state_dict"]["model.first.weight"])

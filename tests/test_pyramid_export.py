@@ -279,6 +279,12 @@ def test_int8_is_written_with_its_measured_error(
     np.testing.assert_array_equal(exact.color, Denoiser(exported[0]).run_buffers(buffers).color)
 
 
+def test_int8_is_calibrated_on_fireflies_too(exported: tuple[Path, Denoising], data: Stored) -> None:
+    manifest = json.loads((exported[0] / "manifest.json").read_text())
+    feeds = list(quantise.calibration_feeds(exported[0], manifest, data, 9))
+    assert [bool((f["radiance"] * f["exposure"]).max() > 0.99e8) for f in feeds] == [True, *[False] * 6, True, False]
+
+
 @pytest.mark.parametrize(("bound", "value", "said"), [("BOUND", 0.5, "more than 0.5"), ("MOST_BYTES", 1, "MB")])
 def test_an_int8_variant_that_is_no_good_is_refused(
     exported: tuple[Path, Denoising],

@@ -104,9 +104,9 @@ private:
     void filter(const Tile &tile, int branch);
     void predict(const Tile &tile, int branch);
     template <typename Row>
-    void copy_row(int branch, int x, int y, int width, const Row &row) const;
+    void copy_row(int branch, int x, int y, int width, const Rect &window, const Row &row) const;
     void fill_pyramid(const Tile &tile, int branch, int planes);
-    void clean_factor(const Tile &tile, int branch, const Rect &core);
+    void clean_factor(const Tile &tile, int branch);
     void fill_neighbourhood(const Tile &tile, int branch, int planes);
     const float *output(const std::string &name) const {
         return denoiser_.logits_.data() + offsets_.at(name);
@@ -137,9 +137,9 @@ private:
     std::vector<Tile> tiles_;
     std::vector<Planes> results_; // of the tile at hand, per signal
     std::vector<float> gathered_;
-    Planes cleaned_; // of the tile at hand, what a branch's radiance is multiplied by; empty: what it was
-                     // divided by
-    float told_ = 0; // the progress
+    Planes cleaned_; // of the window at hand, what a branch's radiance is divided and multiplied by; empty:
+                     // what it was divided by
+    float told_ = 0;                                    // the progress
     bool embedded_ = false;                             // the frame's samples, where the model does so
     std::map<std::string, size_t> offsets_;             // of the network's outputs in logits_
     std::vector<char> idle_;                            // per branch: in the whole frame
@@ -260,6 +260,7 @@ void Denoiser::Run::filter(const Tile &tile, int branch) {
         planes += signal.branch == branch ? signal.values.channels() : 0;
     gathered_.resize(std::max(gathered_.size(), size_t(planes) * tile.core.width * tile.core.height));
     if (manifest_.pyramid) {
+        clean_factor(tile, branch);
         fill_pyramid(tile, branch, planes);
         const PyramidLogits logits{output("trust"),
                                    {output("logits.2"), output("logits.2") + finest_logits(tile.window),
@@ -267,7 +268,6 @@ void Denoiser::Run::filter(const Tile &tile, int branch) {
         const Rect core{tile.core.x - tile.window.x, tile.core.y - tile.window.y, tile.core.width,
                         tile.core.height};
         denoiser_.pyramid_.apply(threads_, logits, core, gathered_.data());
-        clean_factor(tile, branch, core);
     } else {
         fill_neighbourhood(tile, branch, planes);
         const size_t width = size_t(tile.window.width), plane = width * tile.window.height;
@@ -308,8 +308,10 @@ void Denoiser::Run::predict(const Tile &tile, int branch) {
 
 /// What a row of the branch's signals holds while it is filtered: `row(plane)` says where it goes.
 template <typename Row>
-void Denoiser::Run::copy_row(int branch, int x, int y, int width, const Row &row) const {
-    const Planes &factor = prepared_.branches[size_t(branch)].factor;
+void Denoiser::Run::copy_row(int branch, int x, int y, int width, const Rect &window, const Row &row) const {
+    const bool clean = cleaned_.channels() > 0;
+    const Planes &factor = clean ? cleaned_ : prepared_.branches[size_t(branch)].factor;
+    const int from_x = clean ? x - window.x : x, from_y = clean ? y - window.y : y;
     int plane = 0;
     for (const Signal &signal : prepared_.signals) {
         if (signal.branch != branch)
@@ -317,8 +319,9 @@ void Denoiser::Run::copy_row(int branch, int x, int y, int width, const Row &row
         for (int c = 0; c < signal.values.channels(); ++c, ++plane) {
             const float *values = signal.values.row(c, y) + x;
             if (signal.demodulated)
-                std::transform(values, values + width, factor.row(std::min(c, factor.channels() - 1), y) + x,
-                               row(plane), std::divides<float>());
+                std::transform(values, values + width,
+                               factor.row(std::min(c, factor.channels() - 1), from_y) + from_x, row(plane),
+                               std::divides<float>());
             else
                 std::copy_n(values, width, row(plane));
         }
@@ -331,17 +334,18 @@ void Denoiser::Run::fill_pyramid(const Tile &tile, int branch, int planes) {
     source.reset(planes, window.height, window.width);
     for_rows(threads_, window.height, [&](int row) {
         const int y = window.y + row;
-        copy_row(branch, window.x, y, window.width, [&](int plane) { return source.row(plane, row); });
+        copy_row(branch, window.x, y, window.width, window,
+                 [&](int plane) { return source.row(plane, row); });
         std::copy_n(prepared_.valid.data() + size_t(y) * frame_.width() + window.x, window.width,
                     source.valid_row(row));
     });
 }
 
-/// The branch's factor for the tile, filtered by the kernels `cleaning`.
-void Denoiser::Run::clean_factor(const Tile &tile, int branch, const Rect &core) {
+/// The branch's factor for the window, filtered by the kernels `cleaning`.
+void Denoiser::Run::clean_factor(const Tile &tile, int branch) {
     const ActiveBranch &active = prepared_.branches[size_t(branch)];
     const Planes &factor = active.factor;
-    const int planes = factor.channels(), width = tile.core.width, height = tile.core.height;
+    const int planes = factor.channels(), width = tile.window.width, height = tile.window.height;
     cleaned_ = Planes();
     if (!active.branch->clean || planes == 0)
         return;
@@ -360,12 +364,12 @@ void Denoiser::Run::clean_factor(const Tile &tile, int branch, const Rect &core)
     std::vector<float> local(plane * (size_t(planes) + 1));
     PyramidLogits kernels; // of the finest level, without trust
     kernels.levels[0] = output("cleaning");
-    source.apply(threads_, kernels, core, local.data());
+    source.apply(threads_, kernels, {0, 0, width, height}, local.data());
     cleaned_ = Planes(planes, height, width);
     for_rows(threads_, height, [&](int y) {
         const float *known = local.data() + size_t(planes) * plane + size_t(y) * width;
         for (int c = 0; c < planes; ++c) {
-            const float *noisy = factor.row(c, tile.core.y + y) + tile.core.x;
+            const float *noisy = factor.row(c, window.y + y) + window.x;
             const float *clean = known - plane * size_t(planes - c);
             float *to = cleaned_.row(c, y);
             for (int x = 0; x < width; ++x)
@@ -384,7 +388,8 @@ void Denoiser::Run::fill_neighbourhood(const Tile &tile, int branch, int planes)
         output("logits") + (manifest_.logit_channels() - 1) * window_width * tile.window.height;
     for_rows(threads_, area.height, [&](int row) {
         const int y = area.y + row, to_y = y - tile.core.y, to_x = area.x - tile.core.x + radius;
-        copy_row(branch, area.x, y, area.width, [&](int plane) { return source.row(plane, to_y) + to_x; });
+        copy_row(branch, area.x, y, area.width, tile.window,
+                 [&](int plane) { return source.row(plane, to_y) + to_x; });
         const uint8_t *valid = prepared_.valid.data() + size_t(y) * frame_.width() + area.x;
         const float *shifts = trust + size_t(y - tile.window.y) * window_width + (area.x - tile.window.x);
         for (int x = 0; x < area.width; ++x)
@@ -418,7 +423,9 @@ void Denoiser::Run::take_results(const Tile &tile, int branch) {
         if (!signal.demodulated)
             return;
         const int plane = std::min(c, factor.channels() - 1);
-        const float *row = clean ? factor.row(plane, y) : factor.row(plane, tile.core.y + y) + tile.core.x;
+        const float *row =
+            clean ? factor.row(plane, tile.core.y - tile.window.y + y) + (tile.core.x - tile.window.x)
+                  : factor.row(plane, tile.core.y + y) + tile.core.x;
         std::transform(to, to + tile.core.width, row, to, std::multiplies<float>());
     });
 }

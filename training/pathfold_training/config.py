@@ -41,8 +41,8 @@ class Pyramid(Strict):
     convolutions: tuple[int, int, int, int] = Field((3, 2, 2, 2), description="per level, the same on the way back up")
     embedding: int = Field(8, ge=1, description="C: channels of the path embedding")
     embedded: int = Field(0, ge=0, description="the most samples of a pixel that are embedded; 0 for all of them")
-    demodulate: bool = Field(True, description="radiance is divided by the noisy albedo while it is filtered")
-    clean: bool = Field(False, description="and multiplied by an albedo that 5x5 kernels of its own clean")
+    demodulate: bool = Field(True, description="radiance is divided by the albedo while it is filtered")
+    clean: bool = Field(False, description="an albedo that 5x5 kernels of its own have cleaned")
     scaled: bool = Field(False, description="descriptors enter the embedding with mean 0 and deviation 1")
 
     @property

@@ -189,9 +189,10 @@ def plain_weights(task: Denoising) -> dict[str, torch.Tensor]:
 def checkpoint_weights(checkpoint: Path) -> dict[str, torch.Tensor]:
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
     task = Denoising(Config.model_validate(state["hyper_parameters"]["config"]))
-    fresh = task.state_dict()  # a network that cleaned otherwise: that head begins anew
-    other = {n: v for n, v in fresh.items() if "cleaning" in n and state["state_dict"][n].shape != v.shape}
-    task.load_state_dict(state["state_dict"] | other)
+    # networks of before cleaned the albedo by other features: this head begins anew
+    stored = {name: value for name, value in state["state_dict"].items() if not name.startswith("model.cleaning.")}
+    fresh = {name: value for name, value in task.state_dict().items() if name.startswith("model.albedo_kernels.")}
+    task.load_state_dict(fresh | stored)
     return plain_weights(task)
 
 

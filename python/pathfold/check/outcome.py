@@ -60,14 +60,16 @@ class Row:
 def bounded(result: Result, frame: Prepared, manifest: dict[str, Any]) -> bool:
     """Whether each branch's result, before remodulation, lies within the least and largest value of its window.
 
-    Where the factor is cleaned, it lies within its own 5 x 5 window in turn.
+    Where the factor is cleaned, what divides and multiplies lies within its own 5 x 5 window in turn.
     """
     split, slack = len(frame.branches) > 1, tolerance("bounded")
     for branch in frame.branches:
         image = getattr(result, branch.buffer) if split else result.color
-        low, high = window_limits(branch.demodulated, frame.valid, window_radius(manifest))
+        least, most = factor_limits(branch, frame)
+        radius = window_radius(manifest)
+        low, _ = window_limits(branch.radiance / most, frame.valid, radius)
+        _, high = window_limits(branch.radiance / least, frame.valid, radius)
         with np.errstate(invalid="ignore"):
-            least, most = factor_limits(branch, frame)
             above = image / least >= low * (1 - slack) - SMALLEST
             if not (above & (image / most <= high * (1 + slack) + SMALLEST)).all():
                 return False

@@ -32,7 +32,7 @@ class Branch:
     radiance: Array  # H x W x 3, 0 where masked, capped
     factor: Array  # H x W x 3, what radiance is divided by while it is filtered
     inputs: dict[str, Array]  # the graph's: H x W x C, S x H x W x C, scalars [1]
-    clean: bool = False  # whether radiance is multiplied by a cleaned factor
+    clean: bool = False  # whether the factor is cleaned before it divides and multiplies
 
     @property
     def demodulated(self) -> Array:

@@ -22,7 +22,8 @@ COMPARED = (NOISY, "oidn", "oidn-prefiltered")  # with models, where nobody says
 
 Image = NDArray[np.float32]
 Buffers = Mapping[str, NDArray[Any]]
-Run = Callable[[Buffers, float | None], Image]  # buffers and the exposure (None: its own) to the picture
+# Buffers, the exposure (None: its own) and the frame's samples per pixel (0: as many as it has) to the picture.
+Run = Callable[[Buffers, float | None, int], Image]
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def find(argument: str) -> Candidate:
     Raises PathfoldError ("not-found") that says what there is, ("unsupported") where a model has no such precision.
     """
     if argument == NOISY:
-        return Candidate(NOISY, argument, frozenset({"color"}), "", lambda: lambda buffers, _: buffers["color"])
+        return Candidate(NOISY, argument, frozenset({"color"}), "", lambda: lambda buffers, *_: buffers["color"])
     if argument in PEERS:
         return _peer(argument)
     name, colon, precision = argument.rpartition(":")
@@ -99,7 +100,7 @@ def _peer(name: str) -> Candidate:
 
     def load() -> Run:
         run = PEERS[name]
-        return lambda buffers, scale: run(buffers["color"], buffers.get("albedo"), buffers.get("normal"), scale)
+        return lambda buffers, scale, _: run(buffers["color"], buffers.get("albedo"), buffers.get("normal"), scale)
 
     return Candidate(name, name, frozenset({"color", "albedo", "normal"}), identity, load)
 
@@ -108,4 +109,4 @@ def _model(folder: Path, precision: str) -> Run:
     from pathfold.denoising import Denoiser
 
     denoiser = Denoiser(folder, precision=precision)
-    return lambda buffers, exposure: denoiser.run_buffers(buffers, exposure=exposure).color
+    return lambda buffers, exposure, spp: denoiser.run_buffers(buffers, exposure=exposure, samples_per_pixel=spp).color

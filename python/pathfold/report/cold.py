@@ -58,7 +58,7 @@ def main(argument: str, folder: Path) -> None:
     candidate = candidates.find(argument)
     before = memory.forget_peak()
     start = perf_counter()
-    candidate.load()(buffers, None)
+    candidate.load()(buffers, None, 0)
     milliseconds = 1000 * (perf_counter() - start)
     peak = memory.peak()
     print(json.dumps({"ms": milliseconds, "mb": max(0.0, peak - before), "total_mb": peak}))

@@ -134,7 +134,7 @@ class Contest:
             tally = self._tallies[name]
             read = {buffer: shot.buffers[buffer] for buffer in candidate.reads & shot.buffers.keys()}
             size = name, frozenset(buffer.shape for buffer in read.values())
-            call = lambda run=run, read=read: run(read, self._exposure)  # noqa: E731
+            call = lambda run=run, read=read: run(read, self._exposure, shot.spp)  # noqa: E731
             try:
                 if first_seed and name != NOISY and tally.cold is None:
                     if size not in self._known.cold:  # first: a process of its own may die of memory

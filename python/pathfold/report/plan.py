@@ -55,7 +55,7 @@ def look(path: Path, measured: Sequence[Sample], size: tuple[int, int] | None) -
     recorded = {candidate.path_samples for candidate, _ in runs.values()}
     small = _shrunk(wanted)
     shot = subject.shoot(0, spp, 0, recorded, small, first_seed=True)
-    images, took = _denoise(runs, shot.buffers, left_out)
+    images, took = _denoise(runs, shot.buffers, spp, left_out)
     cleaned = [method for method in images if method != NOISY]
     if not cleaned:
         reasons = "; ".join(f"{method}: {why}" for method, why in left_out.items())
@@ -145,18 +145,18 @@ def _load(methods: Sequence[str]) -> tuple[dict[str, tuple[Candidate, Run]], dic
 
 
 def _denoise(
-    runs: dict[str, tuple[Candidate, Run]], buffers: Buffers, left_out: dict[str, str]
+    runs: dict[str, tuple[Candidate, Run]], buffers: Buffers, spp: int, left_out: dict[str, str]
 ) -> tuple[dict[str, Image], dict[str, float]]:
     """Pictures and milliseconds of the methods; one that fails goes to `left_out`."""
     images, calls = {}, {}
     for method, (candidate, run) in runs.items():
         read = {name: buffers[name] for name in candidate.reads & buffers.keys()}
         try:
-            images[method] = run(read, None)
+            images[method] = run(read, None, spp)
         except Exception as error:
             left_out[method] = " ".join(str(error).split())
             continue
         if method != NOISY:
-            calls[method] = lambda run=run, read=read: run(read, None)
+            calls[method] = lambda run=run, read=read: run(read, None, spp)
     took = {method: median(runs) for method, runs in in_turns(calls, ROUNDS).items()}
     return images, {NOISY: 0.0, **took}

@@ -109,7 +109,8 @@ class Pathfold(nn.Module):
         self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(widths))
         self.up = nn.ModuleList(block(a, a, n) for a, n in zip(widths[:-1], counts[:-1], strict=True))
         self.trust = nn.Conv2d(widths[0], 4, 1)
-        self.cleaning = nn.Conv2d(widths[0], 4 * CLEANING_TAPS, 1) if network.demodulate and network.clean else None
+        cleans = network.demodulate and network.clean
+        self.albedo_kernels = nn.Conv2d(widths[0], 4 * CLEANING_TAPS, 1) if cleans else None
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, HEADS, strict=True))
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
@@ -119,10 +120,10 @@ class Pathfold(nn.Module):
             head.weight.data.zero_()
             head.bias.data.zero_()
         self.trust.bias.data.fill_(TRUST_START)  # type: ignore[union-attr]
-        if self.cleaning is not None:
-            self.cleaning.weight.data.zero_()
+        if self.albedo_kernels is not None:
+            self.albedo_kernels.weight.data.zero_()
             centre = CLEANING_TAPS // 2
-            self.cleaning.bias.data[4 * centre : 4 * centre + 4] = CLEANING_START  # type: ignore[union-attr]
+            self.albedo_kernels.bias.data[4 * centre : 4 * centre + 4] = CLEANING_START  # type: ignore[union-attr]
 
     def forward(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Prediction, Tensor]:
         """What is predicted, and the embeddings N x C x H x W of the samples."""
@@ -143,23 +144,26 @@ class Pathfold(nn.Module):
         x = torch.cat([pixels, embedding_moments(sums)], 1).contiguous(memory_format=torch.channels_last)
         return self.first(x) + self.presence(presence(inputs))[:, :, None, None]
 
-    def features(self, entrance: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """The U-Net: trust as in Prediction, and what the heads read, B x width x H/2 x W/2 down to 1/16."""
+    def features(self, entrance: Tensor) -> tuple[Tensor, Tensor | None, list[Tensor]]:
+        """The U-Net: trust and cleaning as in Prediction, and what the heads read, B x width x H/2 x W/2 down to 1/16.
+
+        Trust and cleaning are wanted for every pixel that a kernel reaches, so they look at few pixels around it.
+        """
         x = torch.relu(entrance)
         skips = []
         for level, down in enumerate(self.down):
             x = down(functional.max_pool2d(x, 2) if level > 0 else x)
             skips.append(x)
         trust = -9.0 * torch.sigmoid(exact(self.trust(skips[0])))
+        cleaning = None if self.albedo_kernels is None else exact(self.albedo_kernels(skips[0]))
         decoded = [x]
         for level in reversed(range(len(self.up))):
             decoded.insert(0, self.up[level](skips[level] + upsample(self.project[level](decoded[0]))))
-        return trust, decoded
+        return trust, cleaning, decoded
 
     def predict(self, entrance: Tensor) -> Prediction:
         """The U-Net and its heads."""
-        trust, decoded = self.features(entrance)
-        cleaning = None if self.cleaning is None else exact(self.cleaning(decoded[0]))
+        trust, cleaning, decoded = self.features(entrance)
         return Prediction(trust, [head(x) for head, x in zip(self.heads, decoded, strict=True)], cleaning)
 
     def output_shapes(self) -> dict[str, list[int | str]]:
@@ -167,7 +171,7 @@ class Pathfold(nn.Module):
         shapes: dict[str, list[int | str]] = {"trust": [1, 4, "H/2", "W/2"]}
         for level, channels in enumerate(HEADS, 1):
             shapes[f"logits.{1 << level}"] = [1, channels, f"H/{1 << level}", f"W/{1 << level}"]
-        return shapes if self.cleaning is None else shapes | {"cleaning": [1, 4 * CLEANING_TAPS, "H/2", "W/2"]}
+        return shapes if self.albedo_kernels is None else shapes | {"cleaning": [1, 4 * CLEANING_TAPS, "H/2", "W/2"]}
 
     def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Filtered:
         """Predict, and apply it to the frames."""
@@ -176,25 +180,24 @@ class Pathfold(nn.Module):
             predicted = predicted._replace(logits=[exact(part) for part in predicted.logits])
             factor = demodulator(inputs) if self.network.demodulate else None
             image, cleaned = reconstruct(predicted, inputs["radiance"], factor)
-            return Filtered(image, predicted.logits, paths, None if self.cleaning is None else cleaned)
+            return Filtered(image, predicted.logits, paths, None if self.albedo_kernels is None else cleaned)
 
 
 def reconstruct(predicted: Prediction, radiance: Tensor, factor: Tensor | None) -> tuple[Tensor, Tensor | None]:
     """What was predicted, applied to radiance B x 3 x H x W, and what it was multiplied by.
 
-    It is divided by `factor` while it is filtered, and multiplied by that or, with `cleaning`, by what its own kernels
-    make of it: noise of an albedo is not that of the radiance.
+    It is divided by `factor` while it is filtered or, with `cleaning`, by what its own kernels make of that: where a
+    mirror's share of the samples carries another albedo, dividing by the noisy one brings its noise in.
     """
     fine, half = torch.split(predicted.logits[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
     trust, finest = functional.pixel_shuffle(predicted.trust, 2), functional.pixel_shuffle(fine, 2)
     levels = [finest, half, *predicted.logits[1:]]
     if factor is None:
         return gather_pyramid(trust, levels, radiance), None
-    filtered = gather_pyramid(trust, levels, radiance / factor)
     if predicted.cleaning is not None:
         valid = torch.isfinite(radiance).all(1, keepdim=True)
         factor = gather_finest(functional.pixel_shuffle(predicted.cleaning, 2), factor, valid)
-    return filtered * factor, factor
+    return gather_pyramid(trust, levels, radiance / factor) * factor, factor
 
 
 def demodulator(inputs: dict[str, Tensor]) -> Tensor:
@@ -278,6 +281,7 @@ def overlap(network: Pyramid) -> int:
     # the gather reads level l's logits at the cells that upsampling reaches from the pixel
     reach = [2 ** (level + 1) - 2 for level in range(LEVELS)]
     taps = 2 * ALIGNMENT + reach[-1]  # and radiance and trust two of the coarsest cells further
+    trust += 2 if network.clean else 0  # a tap's radiance is divided by what 5x5 kernels make of its albedo
     most = max(taps + trust, *(logits[level] + reach[level] for level in range(LEVELS)))
     return -(-most // ALIGNMENT) * ALIGNMENT
 
