@@ -21,6 +21,7 @@ HALF_MAX = 65504.0
 _FLOAT_EXACT = 1 << 23  # integers up to here survive OpenImageIO's way through float
 _BAND = 64  # rows read or written at a time; a multiple of every scanline compression's block
 _KEPT_BYTES = 2 << 30  # a larger part is read layer by layer
+MAX_CHANNELS = 4096  # of one part, as OpenImageIO writes EXRs
 _COMPONENTS = {"red": "R", "green": "G", "blue": "B", "alpha": "A"}
 # A 64-sample file has thousands of channels, more than OpenImageIO opens by itself.
 oiio.attribute("limits:channels", 1 << 16)

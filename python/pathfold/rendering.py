@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pathfold.channels import BUFFERS
 from pathfold.channels import samples as sample_names
-from pathfold.images import NewPart, write_parts
+from pathfold.images import MAX_CHANNELS, NewPart, OutputError, write_parts
 
 BAND_SAMPLES = 1 << 22  # traced in one call: some 1.5 GB while Mitsuba is at it
 _BEAUTY = ("color", "alpha")
@@ -79,7 +79,7 @@ class Camera:
         width, height = self.size
         rows = max(1, min(height, BAND_SAMPLES // (width * spp)))
         recorded = min(recorded, spp) if any(name.startswith("samples.") for name in wanted) else 0
-        vertices = sample_names.VERTICES if max_depth < 0 else min(sample_names.VERTICES, max(max_depth - 1, 1))
+        vertices = path_vertices(max_depth)
         means_of = {name for name in wanted if name in BUFFERS} | {*_BEAUTY}
         unneeded = unneeded_fields(wanted)
         buffers: Block = {}
@@ -125,6 +125,23 @@ class Camera:
         for name, value in values.items():
             self._parameters[f"film.{name}"] = list(value)
         self._parameters.update()
+
+
+def path_vertices(max_depth: int) -> int:
+    """How many vertices of a path are recorded: one for each time that it scatters, within what models read."""
+    return sample_names.VERTICES if max_depth < 0 else min(sample_names.VERTICES, max(max_depth - 1, 1))
+
+
+def check_samples(path: Path, recorded: int, max_depth: int) -> None:
+    """Raise OutputError where the paths of so many samples have more channels than an EXR is written with."""
+    # The density, and whether a sample is valid, which is known only after tracing.
+    each = len(sample_names.descriptor(path_vertices(max_depth))) + 2
+    if recorded * each > MAX_CHANNELS:
+        raise OutputError(
+            f"{path}: the paths of {recorded} samples need {recorded * each} channels, an EXR takes {MAX_CHANNELS}; "
+            f"use --spp {MAX_CHANNELS // each} at most, --for pathfold-balanced, which reads two samples' paths, "
+            "or --denoise MODEL, which writes none"
+        )
 
 
 def unneeded_fields(wanted: Collection[str]) -> set[str]:

@@ -47,7 +47,7 @@ def render(
     from pathfold.channels import ALL_LIGHT
     from pathfold.denoising import Denoiser
     from pathfold.images import OutputError, check_output
-    from pathfold.rendering import Camera, write
+    from pathfold.rendering import Camera, check_samples, write
 
     # What is not there or cannot be written is found out before rendering.
     if output.suffix.lower() != ".exr":
@@ -57,6 +57,8 @@ def render(
     reader = model or for_model
     reads = models.inputs(reader) if reader else models.shipped_inputs()
     recorded = models.path_samples(reader) if reader else models.shipped_path_samples()
+    if not model:
+        check_samples(output, min(recorded, spp), max_depth)
     camera = Camera(scene, variant, sensor, parse_size(size))
     with console.progress(f"render {scene.name}", quiet) as bar:
         start = perf_counter()
