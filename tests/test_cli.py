@@ -298,6 +298,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "info on a spoiled model": (["info", spoiled], 4, "manifest.json"),
         "for a folder": (["render", tmp_path / "no.xml", "-o", out[1], "--for", tmp_path], 4, "with a model in it"),
         "too many samples": (["render", text, *scene[:3], "samples-5", "--spp", 108], 5, "use --spp 107 at most"),
+        "scene folder": (["render", tmp_path, *scene], 3, "is a folder; name the scene in it"),
     }  # fmt: skip
 
 
@@ -306,7 +307,7 @@ CASES = (
     "no model", "no provider", "no output", "output folder", "output type", "no frames", "one output", "no scene",
     "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
     "info on a folder", "info on a spoiled model", "for a folder", "unknown output type", "no exposure",
-    "exposure of NaN", "color none", "too many samples",
+    "exposure of NaN", "color none", "too many samples", "scene folder",
 )  # fmt: skip
 
 

@@ -28,6 +28,8 @@ class Camera:
 
     def __init__(self, path: Path, variant: str, sensor: int, size: tuple[int, int] | None) -> None:
         mi = load_mitsuba(variant)
+        if path.is_dir():
+            raise SceneError(f"{path}: is a folder; name the scene in it, say {path / 'scene.xml'}")
         if not path.is_file():
             raise SceneError(f"{path}: no such file; a Mitsuba 3 scene (.xml) is wanted")
         try:
