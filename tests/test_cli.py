@@ -255,6 +255,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
     good = beauty(tmp_path / "good.exr")
     text = tmp_path / "text.exr"
     text.write_text("not a picture")
+    (tmp_path / "empty.xml").write_text('<scene version="3.0.0"><sensor type="perspective"/></scene>')
     (tmp_path / "broken.xml").write_text("<scene")
     no_color = write(tmp_path / "no.exr", [part("", ["N.X", "N.Y", "N.Z"], ["float"] * 3, noise(3))])
     small = write(tmp_path / "small.exr", [part("", RGB, ["float"] * 3, noise(3, size=(8, 8)))])
@@ -299,6 +300,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "for a folder": (["render", tmp_path / "no.xml", "-o", out[1], "--for", tmp_path], 4, "with a model in it"),
         "too many samples": (["render", text, *scene[:3], "samples-5", "--spp", 108], 5, "use --spp 107 at most"),
         "scene folder": (["render", tmp_path, *scene], 3, "is a folder; name the scene in it"),
+        "no shapes": (["render", tmp_path / "empty.xml", *scene], 3, "empty.xml: has no shapes"),
     }  # fmt: skip
 
 
@@ -307,7 +309,7 @@ CASES = (
     "no model", "no provider", "no output", "output folder", "output type", "no frames", "one output", "no scene",
     "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
     "info on a folder", "info on a spoiled model", "for a folder", "unknown output type", "no exposure",
-    "exposure of NaN", "color none", "too many samples", "scene folder",
+    "exposure of NaN", "color none", "too many samples", "scene folder", "no shapes",
 )  # fmt: skip
 
 

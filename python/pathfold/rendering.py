@@ -37,6 +37,8 @@ class Camera:
             self._scene = mi.load_file(str(path), optimize=False)
         except Exception as error:  # Mitsuba raises whatever its parsers raise
             raise SceneError(f"{path}: not a scene that Mitsuba can load: {_last_words(error)}") from error
+        if not self._scene.shapes():
+            raise SceneError(f"{path}: has no shapes, so there is nothing to see; add one")
         self._path = path
         self.use(sensor, size)
 
