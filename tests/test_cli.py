@@ -301,6 +301,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "too many samples": (["render", text, *scene[:3], "samples-5", "--spp", 108], 5, "use --spp 107 at most"),
         "scene folder": (["render", tmp_path, *scene], 3, "is a folder; name the scene in it"),
         "no shapes": (["render", tmp_path / "empty.xml", *scene], 3, "empty.xml: has no shapes"),
+        "seed out of range": (["render", text, *scene, "--seed", 2**31], 2, "2147483647"),
     }  # fmt: skip
 
 
@@ -309,7 +310,7 @@ CASES = (
     "no model", "no provider", "no output", "output folder", "output type", "no frames", "one output", "no scene",
     "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
     "info on a folder", "info on a spoiled model", "for a folder", "unknown output type", "no exposure",
-    "exposure of NaN", "color none", "too many samples", "scene folder", "no shapes",
+    "exposure of NaN", "color none", "too many samples", "scene folder", "no shapes", "seed out of range",
 )  # fmt: skip
 
 

@@ -16,7 +16,8 @@ def render(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.xml", help="A Mitsuba 3 scene.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.exr", help="Where the result goes.")],
     spp: Annotated[int, typer.Option(min=1, help="Samples per pixel.")] = 8,
-    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal pictures.")] = 0,
+    # The header's whole numbers have 31 bits.
+    seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Equal seeds give equal pictures.")] = 0,
     max_depth: Annotated[int, typer.Option(help="Longest path, in Mitsuba's meaning.")] = 8,
     rr_depth: Annotated[int | None, typer.Option(help="Russian roulette from here on; default: none.")] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Instead of the film's own size.")] = None,
