@@ -250,6 +250,18 @@ def test_render_in_bands_shows_the_same_picture(run, tmp_path: Path, monkeypatch
         assert np.abs(whole.read(0, [*at]) - bands.read(0, [*at])).mean() < 0.02
 
 
+def test_a_variant_without_its_driver_is_named(run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mi = pytest.importorskip("mitsuba")
+
+    def refuse(variant: str) -> None:
+        raise ImportError("jit_init_thread_state(): the CUDA backend is inactive")
+
+    monkeypatch.setattr(mi, "set_variant", refuse)
+    code, _, err = run("render", tmp_path / "no.xml", "-o", tmp_path / "out.exr", "--variant", "llvm_ad_rgb")
+    assert code == 4 and err.count("\n") == 1
+    assert "--variant llvm_ad_rgb: cannot run here: " in err and "; use llvm_ad_rgb" in err
+
+
 def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
     """Command lines that must fail: arguments, exit code, what the one line says."""
     good = beauty(tmp_path / "good.exr")

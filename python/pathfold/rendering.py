@@ -185,13 +185,22 @@ def channel_names(buffer: str) -> list[str]:
 
 
 def load_mitsuba(variant: str) -> Any:
+    """Mitsuba with this variant set.
+
+    Raises ModuleNotFoundError where Mitsuba or the variant's driver is not there, SceneError for an unknown variant.
+    """
     try:
         import mitsuba as mi
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError("rendering needs Mitsuba: pip install 'pathfold[mitsuba]'") from error
     if variant not in mi.variants():
         raise SceneError(f"--variant {variant}: this Mitsuba has {', '.join(mi.variants())}")
-    mi.set_variant(variant)
+    try:
+        mi.set_variant(variant)
+    except ImportError as error:  # the variant's driver is not there
+        raise ModuleNotFoundError(
+            f"--variant {variant}: cannot run here: {_last_words(error).rstrip('.')}; use llvm_ad_rgb"
+        ) from error
     mi.set_log_level(mi.LogLevel.Error)
     return mi
 
