@@ -21,6 +21,7 @@ HALF_MAX = 65504.0
 _FLOAT_EXACT = 1 << 23  # integers up to here survive OpenImageIO's way through float
 _BAND = 64  # rows read or written at a time; a multiple of every scanline compression's block
 _KEPT_BYTES = 2 << 30  # a larger part is read layer by layer
+_LINEAR = (".exr", ".hdr", ".pfm", ".tif", ".tiff")  # what holds linear floats; others take 8 or 16 bits for a display
 MAX_CHANNELS = 4096  # of one part, as OpenImageIO writes EXRs
 _COMPONENTS = {"red": "R", "green": "G", "blue": "B", "alpha": "A"}
 # A 64-sample file has thousands of channels, more than OpenImageIO opens by itself.
@@ -235,6 +236,8 @@ def check_output(path: str | os.PathLike[str]) -> None:
     """Raise OutputError now, not after long work, where a picture could not be written to `path`."""
     if oiio.ImageOutput.create(str(path)) is None:
         raise OutputError(f"{path}: {_first_line(oiio.geterror())}; name it .exr")
+    if Path(path).suffix.lower() not in _LINEAR:
+        raise OutputError(f"{path}: linear radiance needs an EXR; name it {Path(path).with_suffix('.exr').name}")
     check_writable(path)
 
 
