@@ -315,6 +315,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "no shapes": (["render", tmp_path / "empty.xml", *scene], 3, "empty.xml: has no shapes"),
         "seed out of range": (["render", text, *scene, "--seed", 2**31], 2, "2147483647"),
         "display output": (["denoise", good, "-o", tmp_path / "out.png"], 5, "needs an EXR; name it out.exr"),
+        "one input": (["denoise", good, "-o", tmp_path / "c.####.exr"], 3, "which good.exr has not; name one file"),
     }  # fmt: skip
 
 
@@ -324,7 +325,7 @@ CASES = (
     "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
     "info on a folder", "info on a spoiled model", "for a folder", "unknown output type", "no exposure",
     "exposure of NaN", "color none", "too many samples", "scene folder", "no shapes", "seed out of range",
-    "display output",
+    "display output", "one input",
 )  # fmt: skip
 
 

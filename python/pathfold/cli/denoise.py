@@ -119,6 +119,8 @@ def parse_map(entries: Sequence[str]) -> dict[str, str]:
 def expand(source: Path, output: Path) -> list[tuple[Path, Path]]:
     """The files that a name stands for, with their outputs: `####` stands for a frame number."""
     run = re.search(r"#+", source.name)
+    if run is None and "#" in output.name:
+        raise InputError(f"{output}: # stands for a frame number, which {source.name} has not; name one file")
     if run is None:
         return [(source, output)]
     if "#" not in output.name:
