@@ -316,6 +316,9 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "seed out of range": (["render", text, *scene, "--seed", 2**31], 2, "2147483647"),
         "display output": (["denoise", good, "-o", tmp_path / "out.png"], 5, "needs an EXR; name it out.exr"),
         "one input": (["denoise", good, "-o", tmp_path / "c.####.exr"], 3, "which good.exr has not; name one file"),
+        "empty model": (["denoise", good, *out[:2], "-m", ""], 2, "is empty; name a model"),
+        "exposure alone": (["render", text, *scene, "--exposure", 2], 2, "goes with --denoise MODEL alone"),
+        "two models": (["render", text, *scene, "--denoise", "split-5"], 2, "goes not with --denoise"),
     }  # fmt: skip
 
 
@@ -325,7 +328,7 @@ CASES = (
     "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
     "info on a folder", "info on a spoiled model", "for a folder", "unknown output type", "no exposure",
     "exposure of NaN", "color none", "too many samples", "scene folder", "no shapes", "seed out of range",
-    "display output", "one input",
+    "display output", "one input", "empty model", "exposure alone", "two models",
 )  # fmt: skip
 
 

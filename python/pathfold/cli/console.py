@@ -91,6 +91,13 @@ def check_exposure(value: float | None) -> float | None:
     return value
 
 
+def check_model(name: str | None) -> str | None:
+    """Callback of options that name a model: refuses an empty name, which would stand for none given."""
+    if name == "":
+        raise typer.BadParameter("is empty; name a model or a folder, or leave the option away")
+    return name
+
+
 @contextmanager
 def progress(title: str, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """A bar on stderr that is told the fraction done; silent where stderr is no terminal."""

@@ -19,7 +19,14 @@ def denoise(
     source: Annotated[Path, typer.Argument(metavar="IN.exr", help="The noisy picture, or frames.####.exr.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="OUT.exr", help="Where the result goes.")],
     model: Annotated[
-        str | None, typer.Option("-m", "--model", help="A model's name or folder.", show_default=models.DEFAULT)
+        str | None,
+        typer.Option(
+            "-m",
+            "--model",
+            callback=console.check_model,
+            help="A model's name or folder.",
+            show_default=models.DEFAULT,
+        ),
     ] = None,
     mapping: Annotated[
         list[str] | None,

@@ -23,11 +23,14 @@ def render(
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Instead of the film's own size.")] = None,
     sensor: Annotated[int, typer.Option(min=0, help="Which of the scene's cameras.")] = 0,
     for_model: Annotated[
-        str | None, typer.Option("--for", metavar="MODEL", help="Write only what this model reads.")
+        str | None,
+        typer.Option("--for", metavar="MODEL", callback=console.check_model, help="Write only what this model reads."),
     ] = None,
     model: Annotated[
         str | None,
-        typer.Option("--denoise", metavar="MODEL", help="Denoise at once; no samples are written."),
+        typer.Option(
+            "--denoise", metavar="MODEL", callback=console.check_model, help="Denoise at once; no samples are written."
+        ),
     ] = None,
     auto: Annotated[
         bool, typer.Option("--auto", help="Leave out what this scene and frame do not need; the result stays the same.")
@@ -50,6 +53,10 @@ def render(
     from pathfold.images import OutputError, check_output
     from pathfold.rendering import Camera, check_samples, write
 
+    if exposure is not None and not model:
+        raise typer.BadParameter("goes with --denoise MODEL alone; leave it away", param_hint="'--exposure'")
+    if model and for_model:
+        raise typer.BadParameter("goes not with --denoise, which says the model; leave it away", param_hint="'--for'")
     # What is not there or cannot be written is found out before rendering.
     if output.suffix.lower() != ".exr":
         raise OutputError(f"{output}: buffers and samples need an EXR; name it {output.with_suffix('.exr').name}")
