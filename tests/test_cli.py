@@ -270,6 +270,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
     (tmp_path / "empty.xml").write_text('<scene version="3.0.0"><sensor type="perspective"/></scene>')
     (tmp_path / "broken.xml").write_text("<scene")
     no_color = write(tmp_path / "no.exr", [part("", ["N.X", "N.Y", "N.Z"], ["float"] * 3, noise(3))])
+    rg = write(tmp_path / "rg.exr", [part("", ["R", "G"], ["float"] * 2, noise(2))])
     small = write(tmp_path / "small.exr", [part("", RGB, ["float"] * 3, noise(3, size=(8, 8)))])
     nan = write(tmp_path / "nan.exr", [part("", RGB, ["float"] * 3, np.full((9, 12, 3), np.nan))])
     png = write(tmp_path / "display.png", [part("", RGB, ["uint8"] * 3, noise(3) / 4)])
@@ -319,6 +320,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "empty model": (["denoise", good, *out[:2], "-m", ""], 2, "is empty; name a model"),
         "exposure alone": (["render", text, *scene, "--exposure", 2], 2, "goes with --denoise MODEL alone"),
         "two models": (["render", text, *scene, "--denoise", "split-5"], 2, "goes not with --denoise"),
+        "no blue": (["denoise", rg, *out], 3, "rg.exr: no color found; it has R,G and lacks B; name it"),
     }  # fmt: skip
 
 
@@ -328,7 +330,7 @@ CASES = (
     "bad scene", "bad size", "not to EXR", "sizes differ", "not finite", "unknown command", "info on nothing",
     "info on a folder", "info on a spoiled model", "for a folder", "unknown output type", "no exposure",
     "exposure of NaN", "color none", "too many samples", "scene folder", "no shapes", "seed out of range",
-    "display output", "one input", "empty model", "exposure alone", "two models",
+    "display output", "one input", "empty model", "exposure alone", "two models", "no blue",
 )  # fmt: skip
 
 

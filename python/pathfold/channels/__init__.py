@@ -127,7 +127,10 @@ def match(file: ImageFile, overrides: Mapping[str, str] | None = None) -> list[F
     for preset in (detect(file), presets()[-1]):
         if colors := _colors(file, preset, overrides):
             return [_frame(file, preset, overrides, layer, star) for layer, star in colors]
-    raise ImageError(f"{file.path}: no color found; it has {describe(file)}; name it with --map color=LAYER")
+    main = file.layer("")
+    lacks = [letter for letter in "RGB" if main and letter not in main.channels]
+    missing = f" and lacks {','.join(lacks)}" if len(lacks) in (1, 2) else ""
+    raise ImageError(f"{file.path}: no color found; it has {describe(file)}{missing}; name it with --map color=LAYER")
 
 
 def detect(file: ImageFile) -> Preset:
@@ -306,4 +309,4 @@ def _star(pattern: str, layer: Layer) -> str | None:
 def _label(layer: Layer, component: str = "") -> str:
     if component:
         return f"{layer.name}.{component}" if layer.name else component
-    return layer.name or "R,G,B"
+    return layer.name or ",".join(letter for letter in "RGB" if letter in layer.channels) or ",".join(layer.channels)
