@@ -224,6 +224,8 @@ def test_a_run_within_its_own_run_is_refused(tiny: Path, handled: bool) -> None:
         ({"color": picture(), "exposure": -1.0}, r"exposure is -1"),
         ({"color": "picture.exr"}, r"color: given <U11 values"),
         ({"color": picture(), "exposure": "bright"}, r"exposure is a str; give a number > 0"),
+        ({"color": picture(), "samples_per_pixel": "a"}, r"samples_per_pixel is a str; give a whole number"),
+        ({"color": picture(), "samples_per_pixel": 2.5}, r"samples_per_pixel is a float; give a whole number"),
         ({"color": picture(), "samples": picture()}, r'samples is a numpy.ndarray; give {"descriptor": S x H x W'),
         ({"color": picture(), "samples": {1: picture()}}, r"samples has the key 1, a int; give {"),
         ({"color": picture(), "layers": ["key"]}, r"layers is a list; give {NAME: "),
@@ -234,6 +236,13 @@ def test_a_run_within_its_own_run_is_refused(tiny: Path, handled: bool) -> None:
 def test_what_is_wrong_is_named(tiny: Path, arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(pathfold.PathfoldError, match=message) as caught:
         pathfold.denoise(model="split-5", **arguments)
+    assert caught.value.code == "invalid-argument"
+
+
+@pytest.mark.parametrize("model", [None, 5])
+def test_what_is_no_model_is_named(model: Any) -> None:
+    with pytest.raises(pathfold.PathfoldError, match=r"model is a \w+; give a name, a folder") as caught:
+        pathfold.Denoiser(model)
     assert caught.value.code == "invalid-argument"
 
 

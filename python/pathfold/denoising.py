@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.util import find_spec
-from numbers import Real
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +67,8 @@ class Denoiser:
     ) -> None:
         _point_to_onnxruntime()
         if not isinstance(model, _core.Model):
+            if not isinstance(model, (str, os.PathLike)):
+                raise _not_a(f"model is {_kind(model)}", "a name, a folder, or the `model` of another Denoiser")
             folder = os.fspath(models.find(model))
             model = _core.Model(folder, provider=provider, threads=threads, precision=precision)
         self.model = model
@@ -147,10 +149,12 @@ class Denoiser:
         }
         if exposure is not None and not isinstance(exposure, Real):
             raise _not_a(f"exposure is {_kind(exposure)}", "a number > 0, or None")
+        if not isinstance(samples_per_pixel, Integral):
+            raise _not_a(f"samples_per_pixel is {_kind(samples_per_pixel)}", "a whole number, 0 where it is not known")
         images, report = self._core.run(
             arrays,
             layers=extra or None,
-            samples_per_pixel=samples_per_pixel,
+            samples_per_pixel=int(samples_per_pixel),
             exposure=exposure,
             progress=None if progress is None else lambda done: progress(done) is not False,
         )
