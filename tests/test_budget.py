@@ -52,7 +52,7 @@ def test_denoise_takes_a_budget_and_all_that_it_takes_without() -> None:
     np.testing.assert_allclose(denoise(model="split-5", seconds=PLENTY, **parts), whole, rtol=1e-5, atol=1e-6)
     with pytest.raises(PathfoldError, match="model is a Denoiser"):
         denoise(model=Denoiser("split-5"), memory_mb=PLENTY, **given)
-    with pytest.raises(PathfoldError, match="colour"):
+    with pytest.raises(TypeError, match="colour"):
         denoise(colour=given["color"], model="split-5", seconds=PLENTY)
 
 

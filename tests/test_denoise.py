@@ -55,6 +55,16 @@ def test_denoise_is_the_color_of_a_run(tiny: Path) -> None:
     assert (pathfold.denoise(color, model=pathfold.Denoiser(tiny / "single-3")) != image).any()
 
 
+def test_denoise_takes_what_a_denoiser_takes(tiny: Path) -> None:
+    options = {"provider": "cpu", "threads": 1, "leave_out": "none"}
+    expected = pathfold.Denoiser("split-5", **options).run(picture()).color
+    assert (pathfold.denoise(picture(), model="split-5", **options) == expected).all()
+    with pytest.raises(pathfold.PathfoldError, match="warp"):
+        pathfold.denoise(picture(), model="split-5", provider="warp")
+    with pytest.raises(pathfold.PathfoldError, match="model is a Denoiser; give provider, threads, leave_out where"):
+        pathfold.denoise(picture(), model=pathfold.Denoiser("split-5"), leave_out="none")
+
+
 def test_the_split_adds_up_and_alpha_comes_along(tiny: Path) -> None:
     alpha = np.ones((H, W), np.float32)
     result = pathfold.Denoiser("split-5").run(**split_frame(), alpha=alpha, depth=picture(6, 1)[..., 0])
@@ -253,8 +263,9 @@ def test_any_real_number_is_an_exposure(tiny: Path) -> None:
 
 
 def test_unknown_buffers_and_models_are_named(tiny: Path) -> None:
-    with pytest.raises(TypeError, match="albedoo"):
-        pathfold.denoise(picture(), albedoo=picture(), model="single-3")
+    for budget in ({}, {"seconds": 60.0}):
+        with pytest.raises(TypeError, match=r"^denoise\(\) got an unexpected keyword argument 'albedoo'"):
+            pathfold.denoise(picture(), albedoo=picture(), model="single-3", **budget)
     with pytest.raises(pathfold.PathfoldError, match=r"samples\.nonsense"):
         pathfold.denoise(picture(), samples={"nonsense": picture()[None]}, model="single-3")
     with pytest.raises(pathfold.PathfoldError, match=r'"nope".*single-3') as caught:

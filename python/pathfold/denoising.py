@@ -167,6 +167,9 @@ def denoise(
     *,
     model: str | os.PathLike[str] | Denoiser | None = None,
     precision: str = "auto",
+    provider: str = "cpu",
+    threads: int = 0,
+    leave_out: str = "all",
     seconds: float | None = None,
     memory_mb: float | None = None,
     **buffers: Any,
@@ -175,16 +178,22 @@ def denoise(
 
     `model` is a name, a folder or a `Denoiser` (None: pathfold-balanced); everything else is what `Denoiser.run` takes:
     `albedo`, `normal`, `depth`, `diffuse`, `specular`, `diffuse_albedo`, `variance`, `samples`, `exposure`, ...
-    `precision` of its networks is "fp32", "int8" or "auto", see `Denoiser`. Loaded models are kept.
+    `precision`, `provider`, `threads` and `leave_out` are those of `Denoiser`. Loaded models are kept.
     With `seconds` or `memory_mb` a `pathfold.Budget` chooses among the shipped models, or how to run the one that is
-    named. Raises PathfoldError.
+    named. Raises PathfoldError, TypeError for a keyword that neither knows.
     """
+    if unknown := sorted(buffers.keys() - (Denoiser.run.__kwdefaults__ or {}).keys()):
+        raise TypeError(f"denoise() got an unexpected keyword argument {unknown[0]!r}")
+    options: dict[str, Any] = {"provider": provider, "threads": threads, "leave_out": leave_out}
+    if isinstance(model, Denoiser) and options != {"provider": "cpu", "threads": 0, "leave_out": "all"}:
+        raise failure("invalid-argument", f"model is a Denoiser; give {', '.join(options)} where it is made")
+    options["precision"] = precision
     if isinstance(model, Denoiser) and precision not in ("auto", model.model.precision):
         raise failure("invalid-argument", f"model is a Denoiser in {model.model.precision}; make one in {precision}")
     if seconds is not None or memory_mb is not None:
-        return _denoise_within(seconds, memory_mb, model, precision, {"color": color, **buffers})
+        return _denoise_within(seconds, memory_mb, model, options, {"color": color, **buffers})
     if not isinstance(model, Denoiser):
-        model = _denoiser(models.find(model or models.DEFAULT).resolve(), precision)
+        model = _denoiser(models.find(model or models.DEFAULT).resolve(), **options)
     return model.run(color, **buffers).color
 
 
@@ -192,7 +201,7 @@ def _denoise_within(
     seconds: float | None,
     memory_mb: float | None,
     model: str | os.PathLike[str] | Denoiser | None,
-    precision: str,
+    options: dict[str, Any],
     given: dict[str, Any],
 ) -> NDArray[np.float32]:
     from pathfold.budget import Budget
@@ -208,7 +217,7 @@ def _denoise_within(
     for name, pixels in arrays.items():
         if pixels.ndim == (3 if name.startswith("samples.") else 2):  # one channel may come without its axis
             arrays[name] = pixels[..., None]
-    budget = Budget(seconds, memory_mb, None if model is None else os.fspath(model), precision=precision)
+    budget = Budget(seconds, memory_mb, None if model is None else os.fspath(model), **options)
     choice = budget.choose(arrays, samples_per_pixel=count)
     return choice.run(samples_per_pixel=count, **settings).color
 
@@ -222,8 +231,8 @@ def auto_exposure(color: Array) -> float:
 
 
 @lru_cache(maxsize=4)
-def _denoiser(folder: Path, precision: str) -> Denoiser:
-    return Denoiser(folder, precision=precision)
+def _denoiser(folder: Path, **options: Any) -> Denoiser:
+    return Denoiser(folder, **options)
 
 
 def as_array(name: str, value: Array) -> NDArray[Any]:
