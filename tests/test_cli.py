@@ -119,6 +119,13 @@ def test_denoise_quietly(run, tmp_path: Path) -> None:
     assert run("denoise", source, "-o", tmp_path / "out.exr", "-q", "-m", "single-3") == (0, "", "")
 
 
+def test_a_picture_without_a_finite_pixel_is_told_of(run, tmp_path: Path) -> None:
+    source = write(tmp_path / "nan.exr", [part("", RGB, ["float"] * 3, np.full((9, 12, 3), np.nan))])
+    code, out, err = run("denoise", source, "-o", tmp_path / "out.exr", "-m", "single-3", "-q")
+    assert (code, out) == (0, "")
+    assert "nan.exr: none of the 108 pixels has finite color" in err and err.count("\n") == 1
+
+
 def test_samples_are_used_and_not_copied_unless_asked(run, tmp_path: Path) -> None:
     source = with_samples(tmp_path / "in.exr")
     code, out, _ = run("denoise", source, "-o", tmp_path / "out.exr", "-m", "samples-5")

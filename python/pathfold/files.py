@@ -32,6 +32,7 @@ class Denoised:
     frame: Frame
     result: Result
     layers: tuple[str, ...] = ()
+    lost: int = 0  # the number of pixels where not one has finite color: the result is black
     budget: tuple[str, ...] = ()  # what was chosen to stay inside a budget, and what was given up for it
 
 
@@ -81,10 +82,12 @@ def denoise_file(
             exposure=exposures[min(number, len(exposures) - 1)] if exposures else None,
             progress=progress,
         )
+        finite = np.isfinite(buffers["color"]).all(-1)
+        lost = 0 if finite.any() or result.color.any() else finite.size
         changed |= _changes(frame, result)
         for layer, at in extra:
             changed |= _places(layer.part, at, result.layers[_key(layer)])
-        done.append(Denoised(frame, result, tuple(layer.name or "R,G,B" for layer, _ in extra), tuple(lines)))
+        done.append(Denoised(frame, result, tuple(layer.name or "R,G,B" for layer, _ in extra), lost, tuple(lines)))
         begin = perf_counter()
     part = samples.find(file)
     notes = {

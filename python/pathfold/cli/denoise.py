@@ -99,6 +99,9 @@ def denoise(
                 progress=bar,
             )
         exposures = exposures or [one.result.report["exposure"] for one in done]
+        for one in done:
+            if one.lost:
+                console.complain(f"{noisy}: none of the {one.lost} pixels has finite color; {clean} is black there")
         if not quiet:
             for one in done:
                 for line in frame_lines(noisy, one.frame) if number == 0 else ():
