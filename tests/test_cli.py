@@ -326,7 +326,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "one input": (["denoise", good, "-o", tmp_path / "c.####.exr"], 3, "which good.exr has not; name one file"),
         "empty model": (["denoise", good, *out[:2], "-m", ""], 2, "is empty; name a model"),
         "exposure alone": (["render", text, *scene, "--exposure", 2], 2, "goes with --denoise MODEL alone"),
-        "two models": (["render", text, *scene, "--denoise", "split-5"], 2, "goes not with --denoise"),
+        "two models": (["render", text, *scene, "--denoise", "split-5"], 2, "does not go with --denoise"),
         "no blue": (["denoise", rg, *out], 3, "rg.exr: no color found; it has R,G and lacks B; name it"),
     }  # fmt: skip
 

@@ -56,7 +56,9 @@ def render(
     if exposure is not None and not model:
         raise typer.BadParameter("goes with --denoise MODEL alone; leave it away", param_hint="'--exposure'")
     if model and for_model:
-        raise typer.BadParameter("goes not with --denoise, which says the model; leave it away", param_hint="'--for'")
+        raise typer.BadParameter(
+            "does not go with --denoise, which names the model; leave it away", param_hint="'--for'"
+        )
     # What is not there or cannot be written is found out before rendering.
     if output.suffix.lower() != ".exr":
         raise OutputError(f"{output}: buffers and samples need an EXR; name it {output.with_suffix('.exr').name}")
