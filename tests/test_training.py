@@ -1,12 +1,14 @@
 """Training end to end on a tiny data set: exact resume, warm start, the batch stream."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from pathfold.channels.samples import ALL_SAMPLES
+from pathfold_training import cli
 from pathfold_training.config import Config, Data, Loss, Network, Optimiser
 from pathfold_training.data import Crops, Stored, augment, frame_inputs, reduce_samples
 from pathfold_training.export import export
@@ -111,6 +113,36 @@ def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path)
         fit(with_steps(TINY, 2), data_set, tmp_path / "run")
     with pytest.raises(FileNotFoundError, match="pathfold-train render"):
         fit(TINY, tmp_path / "nothing", tmp_path / "other")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        ("fit pathfold-fast --out {0}/run --data {0}/nothing", 1, "pathfold-train render"),
+        ("fit pathfold-fast --out {0}/run --data {0}/few", 1, "one scene in ten is 'val'"),
+        ("fit pathfold-fast --out {0}/run --data {0}/few --threads -1", 2, "--threads"),
+        ("fit", 2, "preset"),
+        ("card {0}/nothing --results {0}", 1, "has no manifest.json"),
+    ],
+)
+def test_what_a_command_cannot_do_is_one_line_and_leaves_nothing(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: str,
+    code: int,
+    words: str,
+) -> None:
+    few = write_data_set(tmp_path / "few")
+    lines = [json.loads(line) for line in (few / "index.jsonl").read_text().splitlines()]
+    (few / "index.jsonl").write_text("".join(json.dumps(line | {"split": "train"}) + "\n" for line in lines))
+    monkeypatch.setattr(sys, "argv", ["pathfold-train", *arguments.format(tmp_path).split()])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    error = capsys.readouterr().err
+    assert left.value.code == code
+    assert error.startswith("pathfold-train: ") and error.count("\n") == 1 and words in error
+    assert not (tmp_path / "run").exists()
 
 
 def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:

@@ -81,8 +81,10 @@ The commands that train it again are in docs/training.md; all results and known 
 def write_card(folder: Path, results: Path) -> None:
     """README.md of a model folder, with its errors in the folder that `pathfold-train evaluate` wrote.
 
-    Raises FileNotFoundError without a manifest, ValueError where the model was not evaluated at one spp there.
+    Raises ValueError without a manifest, or where the model was not evaluated at one spp there.
     """
+    if not (folder / "manifest.json").is_file():
+        raise ValueError(f"{folder} is no model folder: it has no manifest.json; make one by pathfold-train export")
     manifest = json.loads((folder / "manifest.json").read_text())
     section = error_section(manifest["name"], results, relpath(results, folder))
     (folder / "README.md").write_text(model_card(manifest, section))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+from pathfold.cli.console import run as run_application
 from rich.console import Console
 from rich.table import Table
 
@@ -125,11 +126,11 @@ def fit(
         bool, typer.Option("--render-on-the-fly", help="instead of --data: render generated scenes while training")
     ] = False,
     variant: Variant = "llvm_ad_rgb",
-    seed: int = 0,
-    threads: Annotated[int, typer.Option(help="CPU threads; 0 lets torch choose")] = 0,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0 lets torch choose")] = 0,
     devices: Annotated[int, typer.Option(min=1, help="GPUs (or processes, without one) that share each batch")] = 1,
     nodes: Annotated[int, typer.Option(min=1, help="machines, each with as many devices")] = 1,
-    steps: Annotated[int | None, typer.Option(help="instead of the preset's")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="instead of the preset's")] = None,
     start_from: Annotated[Path | None, typer.Option(help="checkpoint or model folder to begin with")] = None,
 ) -> None:
     """Train a preset (Algorithm 1)."""
@@ -187,8 +188,8 @@ def evaluate(
     model: Annotated[
         list[str] | None, typer.Option(help="model name or folder; repeat for more  [default: every shipped one]")
     ] = None,
-    spp: int = 8,
-    seeds: int = 3,
+    spp: Annotated[int, typer.Option(min=1, help="samples per pixel")] = 8,
+    seeds: Annotated[int, typer.Option(min=1, help="render seeds of each scene")] = 3,
 ) -> None:
     """Compare models with the noisy input and OIDN on scenes with references."""
     from pathfold import models
@@ -213,14 +214,4 @@ def card(
 
 def main() -> None:
     """Entry point: errors that a user can mend are one line, without a traceback."""
-    try:
-        app()
-    except ModuleNotFoundError as error:
-        console.print(
-            f"pathfold-train: {error.name} is not installed; pip install 'pathfold[train,mitsuba,bench]'",
-            style="red",
-        )
-        sys.exit(2)
-    except (ValueError, OSError, RuntimeError) as error:
-        console.print(f"pathfold-train: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
-        sys.exit(1)
+    sys.exit(run_application(app, "pathfold-train", mendable=(ValueError, OSError, RuntimeError)))

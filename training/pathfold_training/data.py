@@ -60,7 +60,8 @@ class Stored:
         lines = self.store.split(name)
         if not lines:
             raise ValueError(
-                f"{self.store.folder} has no view of split '{name}'; render more with 'pathfold-train render'"
+                f"{self.store.folder} has no view of split '{name}': at random one scene in ten is 'val', the others "
+                "'train'; render some 30 scenes with 'pathfold-train render'"
             )
         return [
             View(line, partial(self.store.tensor, line["id"]), n) for line in lines for n in range(len(line["crops"]))

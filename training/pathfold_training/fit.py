@@ -79,6 +79,8 @@ def fit(
     run: kpcn-vanilla's for the path variants, say (the authors tune R alone first, then attach F), or a shipped model's
     to go on with it on other data. Raises ValueError if `data` holds no data set or `out` belongs to another preset.
     """
+    if not isinstance(data, Live):
+        Stored(data).held_out()  # what it lacks is said before anything is written
     if threads:
         torch.set_num_threads(threads)
     lightning.seed_everything(seed, verbose=False)

@@ -39,11 +39,11 @@ def say(text: str) -> None:
     print(harmless(text), flush=True)
 
 
-def complain(error: object) -> None:
+def complain(error: object, program: str = "pathfold") -> None:
     """One line on stderr; nothing where typer has said it all by printing the help."""
     text = error.format_message() if hasattr(error, "format_message") else str(error) or type(error).__name__
     if text:
-        print(f"pathfold: {harmless(' '.join(text.split()))}", file=sys.stderr, flush=True)
+        print(f"{program}: {harmless(' '.join(text.split()))}", file=sys.stderr, flush=True)
 
 
 def exit_code(error: Exception) -> int | None:
@@ -69,19 +69,22 @@ def exit_code(error: Exception) -> int | None:
     return next((code for kind, code in kinds.items() if isinstance(error, kind)), None)
 
 
-def run(app: typer.Typer) -> int:
-    """Run a typer application and return its exit code; expected errors become one line on stderr."""
+def run(app: typer.Typer, program: str = "pathfold", mendable: tuple[type[Exception], ...] = ()) -> int:
+    """Run a typer application and return its exit code; expected errors become one line on stderr.
+
+    Besides those that `exit_code` knows these are the `mendable` ones, whose code is FAILED.
+    """
     try:
         return app(standalone_mode=False) or 0
     except KeyboardInterrupt:
-        complain("interrupted; nothing was written")
+        complain("interrupted; nothing was written" if not mendable else "interrupted", program)
         return INTERRUPTED
     except Exception as error:
         code = exit_code(error)
-        if code is None:
+        if code is None and not isinstance(error, mendable):
             raise
-        complain(error)
-        return code
+        complain(error, program)
+        return FAILED if code is None else code
 
 
 def check_exposure(value: float | None) -> float | None:
