@@ -103,6 +103,13 @@ def test_denoise_says_what_it_left_out(run, tmp_path: Path) -> None:
     assert code == 3 and 'leave_out is "pixels"; it must be all, none' in err
 
 
+def test_denoise_says_which_parts_of_the_beauty_stay_noisy(run, tmp_path: Path) -> None:
+    arguments = ["denoise", with_samples(tmp_path / "in.exr"), "-o", tmp_path / "out.exr", "-m"]
+    assert "as noisy as before: diffuse, specular; name radiance layers with --layer" in run(*arguments, "single-3")[1]
+    assert "as noisy as before: specular;" in run(*arguments, "single-3", "--layer", "diffuse")[1]
+    assert "as noisy" not in run(*arguments, "split-5")[1]
+
+
 def test_denoise_in_a_precision(run, tmp_path: Path) -> None:
     source, target = beauty(tmp_path / "in.exr"), tmp_path / "out.exr"
     for precision in ("fp32", "int8"):

@@ -13,6 +13,7 @@ from pathfold.cli.console import InputError
 
 if TYPE_CHECKING:
     from pathfold.channels import Frame
+    from pathfold.files import Denoised
 
 
 def denoise(
@@ -112,6 +113,8 @@ def denoise(
                     console.say(f"  filtered alike: {', '.join(one.layers)}")
                 for line in result_lines(one.result.report):
                     console.say(line)
+                if stay := noisy_layers(one):
+                    console.say(f"  as noisy as before: {', '.join(stay)}; name radiance layers with --layer")
             console.say(f"{clean}")
 
 
@@ -152,6 +155,12 @@ def frame_lines(path: Path, frame: "Frame") -> Iterator[str]:
     yield f"{path}: {width}x{height}, channel names of {frame.preset.title}"
     for line in frame.lines():
         yield f"  {line}"
+
+
+def noisy_layers(one: "Denoised") -> list[str]:
+    """The parts of the beauty that the model did not filter and nobody asked for."""
+    parts = {name: str(one.frame.sources[name]) for name in ("diffuse", "specular") if name in one.frame.sources}
+    return [layer for name, layer in parts.items() if layer not in one.layers and getattr(one.result, name) is None]
 
 
 def result_lines(report: dict[str, Any]) -> Iterator[str]:
