@@ -139,7 +139,7 @@ private:
     std::vector<float> gathered_;
     Planes cleaned_; // of the window at hand, what a branch's radiance is divided and multiplied by; empty:
                      // what it was divided by
-    float told_ = 0;                                    // the progress
+    float told_ = 0; // the progress
     bool embedded_ = false;                             // the frame's samples, where the model does so
     std::map<std::string, size_t> offsets_;             // of the network's outputs in logits_
     std::vector<char> idle_;                            // per branch: in the whole frame
