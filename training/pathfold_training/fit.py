@@ -79,8 +79,9 @@ def fit(
     run: kpcn-vanilla's for the path variants, say (the authors tune R alone first, then attach F), or a shipped model's
     to go on with it on other data. Raises ValueError if `data` holds no data set or `out` belongs to another preset.
     """
-    if not isinstance(data, Live):
-        Stored(data).held_out()  # what it lacks is said before anything is written
+    source = data if isinstance(data, Live) else Stored(data)
+    if isinstance(source, Stored):
+        source.held_out()  # what it lacks is said before anything is written
     if threads:
         torch.set_num_threads(threads)
     lightning.seed_everything(seed, verbose=False)
@@ -114,7 +115,7 @@ def fit(
     )
     paths = config.network.path_samples
     process = {"process": trainer.global_rank, "processes": trainer.world_size}
-    views = LiveViews(data, seed, **process) if isinstance(data, Live) else Stored(data)
+    views = LiveViews(source, seed, **process) if isinstance(source, Live) else source
     held_out = views.held_out()
     views(done)  # on the fly: the first are rendered before the clock of training runs
     crops = Crops(views, config.data, seed, paths, albedo=config.loss.albedo > 0.0, skip=done, **process)

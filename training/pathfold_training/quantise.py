@@ -117,7 +117,7 @@ class Calibration(CalibrationDataReader):
 def calibration_feeds(folder: Path, manifest: dict[str, Any], data: Stored, crops: int) -> Iterator[Feeds]:
     """The graph's inputs of augmented training crops, as the model was trained on them, and of some with a firefly.
 
-    Without those, activations saturate at what crops show, and a firefly of 1e8 leaks 1.4 times what it does in fp32.
+    Without those, activations saturate at what crops show, and fireflies leak more than in fp32.
     """
     sessions = [InferenceSession(folder / manifest["graphs"][name]["file"]) for name in ("embedding", GRAPH)]
     config = trained_as(folder)

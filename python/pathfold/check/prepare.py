@@ -34,10 +34,6 @@ class Branch:
     inputs: dict[str, Array]  # the graph's: H x W x C, S x H x W x C, scalars [1]
     clean: bool = False  # whether the factor is cleaned before it divides and multiplies
 
-    @property
-    def demodulated(self) -> Array:
-        return self.radiance / self.factor
-
 
 @dataclass(frozen=True)
 class Prepared:

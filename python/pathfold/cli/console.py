@@ -77,7 +77,7 @@ def run(app: typer.Typer, program: str = "pathfold", mendable: tuple[type[Except
     try:
         return app(standalone_mode=False) or 0
     except KeyboardInterrupt:
-        complain("interrupted; nothing was written" if not mendable else "interrupted", program)
+        complain("interrupted; no file was left half written", program)
         return INTERRUPTED
     except Exception as error:
         code = exit_code(error)
