@@ -19,7 +19,7 @@ from pathfold_training import needs, quantise
 from pathfold_training.config import Config, Data, Optimiser, Pyramid
 from pathfold_training.data import Batch, Stored, ValidationViews
 from pathfold_training.export import export, load_task
-from pathfold_training.fit import fit, folder_weights
+from pathfold_training.fit import fit, warm_start
 from pathfold_training.halves import narrow, round_weights, widen
 from pathfold_training.networks.pathfold import OPTIONAL, PIXEL_CHANNELS
 from pathfold_training.task import Denoising
@@ -303,9 +303,30 @@ def test_an_int8_variant_that_is_no_good_is_refused(
         assert path.read_bytes() == (exported[0] / path.name).read_bytes()
 
 
-def test_a_folder_is_no_place_to_start_from(exported: tuple[Path, Denoising]) -> None:
-    with pytest.raises(ValueError, match=r"last\.ckpt"):
-        folder_weights(exported[0])
+def test_a_model_folder_starts_a_run_where_it_stood(exported: tuple[Path, Denoising]) -> None:
+    folder, task = exported
+    torch.manual_seed(7)
+    begun = Denoising(CONFIG)
+    warm_start(begun, folder)
+    begun.eval()
+    inputs = {name: torch.rand((1, 3, 32, 48)) for name in ("radiance", "variance", "albedo", "normal")}
+    inputs |= {"depth": torch.rand((1, 1, 32, 48)), "samples.descriptor": torch.randn((2, 36, 32, 48))}
+    inputs |= {"samples.valid": torch.ones((2, 1, 32, 48)), "exposure": torch.ones(1), "depth_scale": torch.ones(1)}
+    inputs |= {f"{name}.present": torch.tensor([float(name != "depth")]) for name in OPTIONAL}
+    with torch.no_grad():
+        torch.testing.assert_close(begun.model.filter(inputs)[0], task.model.filter(inputs)[0], rtol=1e-4, atol=1e-5)
+
+
+def test_layers_that_an_export_made_one_are_no_place_to_start_from(
+    exported: tuple[Path, Denoising], tmp_path: Path
+) -> None:
+    folder = shutil.copytree(exported[0], tmp_path / "model")
+    graph = onnx.load(folder / "network.onnx")
+    convolutions = [node for node in graph.graph.node if node.op_type == "Conv"]
+    convolutions[-1].input[2] = convolutions[-2].input[2]
+    onnx.save(graph, folder / "network.onnx")
+    with pytest.raises(ValueError, match=r"cannot be told apart; give the run's last\.ckpt"):
+        warm_start(Denoising(CONFIG), folder)
 
 
 def test_paths_are_left_out_by_name_where_the_manifest_says_so(

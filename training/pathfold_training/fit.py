@@ -22,10 +22,12 @@ from torch import Tensor
 from torch.nn.utils import parametrize
 from torch.utils.data import DataLoader
 
+from . import halves
 from .config import Config
 from .data import Crops, Stored, ValidationViews
 from .live import Live, LiveViews
 from .networks.pathfold import Pathfold, Standardised
+from .networks.pathfold_graphs import trained_weights
 from .store import Line
 from .task import Denoising
 
@@ -203,18 +205,28 @@ def folder_weights(folder: Path) -> dict[str, torch.Tensor]:
     """The weights in a model folder's graphs: their initialisers keep the modules' names."""
     weights = {}
     manifest = json.loads((folder / "manifest.json").read_text())
-    if manifest["reconstruction"]["operator"] != "gather":  # the exporter merges weights that are equal
-        raise ValueError(f"{folder}: only KPCN's weights can be read back from a model folder; give a run's last.ckpt")
-    for graph in manifest["graphs"]:
-        for tensor in onnx.load(folder / f"{graph}.onnx").graph.initializer:
-            if tensor.name.startswith("branch."):
-                name = tensor.name.replace("branch.", f"model.branches.{graph}.", 1)
-                weights[name] = torch.from_numpy(numpy_helper.to_array(tensor).copy())
+    graphs = {name: graph_weights(folder / graph["file"]) for name, graph in manifest["graphs"].items()}
+    if manifest["reconstruction"]["operator"] == "pyramid":
+        return {f"model.{name}": value for name, value in trained_weights(**graphs).items()}
+    for graph, tensors in graphs.items():
+        for name, value in tensors.items():
+            if name.startswith("branch."):
+                weights[name.replace("branch.", f"model.branches.{graph}.", 1)] = value
     if manifest["reconstruction"].get("trust"):  # export made it the last row of the kernels' layer
         for name in [name for name in weights if ".kernels." in name]:
             weights[name.replace(".kernels.", ".trust.")] = weights[name][-1:]
             weights[name] = weights[name][:-1]
     return weights
+
+
+def graph_weights(file: Path) -> dict[str, torch.Tensor]:
+    """A graph's initialisers by name, float32. Raises ValueError where two layers share one."""
+    model = onnx.load(file)
+    halves.widen(model)
+    read = [name for node in model.graph.node if node.op_type == "Conv" for name in node.input[1:]]
+    if len(set(read)) < len(read):  # the exporter merges equal ones, those of untrained layers
+        raise ValueError(f"{file}: some layers' weights are equal and cannot be told apart; give the run's last.ckpt")
+    return {tensor.name: torch.from_numpy(numpy_helper.to_array(tensor).copy()) for tensor in model.graph.initializer}
 
 
 def completed_steps(checkpoint: Path, config: Config) -> int:

@@ -75,3 +75,16 @@ class NetworkGraph(nn.Module):
 
     def output_shapes(self) -> dict[str, list[int | str]]:
         return self.model.output_shapes()
+
+
+def trained_weights(embedding: dict[str, Tensor], network: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The Pathfold's weights, scales folded, that the parameters of an EmbeddingGraph and a NetworkGraph were made of."""
+    weights = {name.removeprefix("model."): value for name, value in network.items() if name.startswith("model.")}
+    blocks = network["pixels"].unflatten(2, (3, 2)).unflatten(4, (3, 2))  # O, C, and of y and of x: kernel, block
+    pixels = blocks.permute(0, 1, 3, 5, 2, 4).flatten(1, 3)
+    moments, planes = network["moments"].split([network["moments"].shape[1] - len(OPTIONAL), len(OPTIONAL)], 1)
+    weights |= {"first.weight": torch.cat([pixels, moments], 1), "first.bias": network["bias"]}
+    weights |= {"presence.weight": planes[:, :, 1, 1], "presence.bias": torch.zeros_like(network["bias"])}
+    weights |= embedding
+    scales = torch.tensor(DESCRIPTOR_SCALES).reshape(1, -1, 1, 1)
+    return weights | {"sample.0.weight": embedding["sample.0.weight"] * scales}
