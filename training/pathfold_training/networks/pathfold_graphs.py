@@ -78,7 +78,7 @@ class NetworkGraph(nn.Module):
 
 
 def trained_weights(embedding: dict[str, Tensor], network: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The Pathfold's weights, scales folded, that the parameters of an EmbeddingGraph and a NetworkGraph were made of."""
+    """The weights of a Pathfold, scales folded, from the parameters of its EmbeddingGraph and NetworkGraph."""
     weights = {name.removeprefix("model."): value for name, value in network.items() if name.startswith("model.")}
     blocks = network["pixels"].unflatten(2, (3, 2)).unflatten(4, (3, 2))  # O, C, and of y and of x: kernel, block
     pixels = blocks.permute(0, 1, 3, 5, 2, 4).flatten(1, 3)
