@@ -22,6 +22,7 @@ ROUNDS = 2  # of a trial
 IN_WINDOWS = ("pack", "network", "reconstruct")  # the stages of a run that see a tile's window
 # On what a trial tells: other programs run, too, and what the heap had free hides some of what is needed.
 TIME_MARGIN, MEMORY_MARGIN = 1.25, 1.4
+TRIAL_EDGE = 64  # pixels of a trial's piece at least: what any run takes is little beside what its pixels take
 LARGEST_WINDOW = 640 * 1024  # pixels; larger ones are not faster
 
 Buffers = Mapping[str, NDArray[Any]]
@@ -153,7 +154,9 @@ class Budget:
             given = _without_paths(buffers) if candidate.paths is False else buffers
             denoiser = Denoiser(candidate.name, **self._options)
             trial = Denoiser(denoiser.model, **self._options | {"leave_out": "none"})  # the piece may need nothing
-            plan = self._plan(_try(trial, given, samples_per_pixel), Tiling.of(denoiser), given, later_mb)
+            cost = _try(trial, given, samples_per_pixel)
+            del trial  # its tensors are no part of what is held
+            plan = self._plan(cost, Tiling.of(denoiser), given, later_mb)
             spent = perf_counter() - begin
             until = spent + TIME_MARGIN * plan.seconds
             if self.memory_mb is not None and plan.memory_mb > self.memory_mb:
@@ -170,7 +173,7 @@ class Budget:
                     lines.append(f"gave up larger tiles: with overlap these are {plan.overlapping:.1f} pictures")
                 ready = Denoiser(denoiser.model, tile=plan.edge, **self._options)
                 return Choice(ready, given, plan.seconds, plan.memory_mb, lines)
-            del denoiser, trial  # before the next one is loaded
+            del denoiser  # before the next one is loaded
         ratio, words = min(refused)
         raise failure(
             "unsupported",
@@ -209,9 +212,9 @@ class Budget:
 
 
 def _try(denoiser: Denoiser, buffers: Buffers, samples_per_pixel: int) -> Cost:
-    """Denoise the middle of the frame: a small piece to warm up, then one like the model's smallest window."""
+    """Denoise the middle of the frame: a small piece to warm up, then the model's smallest window or a larger one."""
     # What loading the model left free in the heap would hide some of what the first run takes.
-    edge = Tiling.of(denoiser).smallest_window
+    edge = max(Tiling.of(denoiser).smallest_window, TRIAL_EDGE)
     small, piece = ({name: _middle(pixels, size) for name, pixels in buffers.items()} for size in (edge // 2, edge))
     denoiser.run_buffers(small, samples_per_pixel=samples_per_pixel)
     before = memory.forget_peak()
