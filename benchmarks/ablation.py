@@ -41,10 +41,11 @@ from pathfold_training.networks.pathfold import (
     Pathfold,
     Prediction,
     aligned,
+    clean_factor,
     exact,
     reconstruct,
 )
-from pathfold_training.networks.reconstruct import bounded_exp, gather_finest, normalised, weigh_taps
+from pathfold_training.networks.reconstruct import bounded_exp, normalised, weigh_taps
 from pathfold_training.score import load, score
 from torch import Tensor, nn
 
@@ -67,11 +68,9 @@ class SingleKernel(Pathfold):
     def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Filtered:
         predicted, paths = self(inputs, counts)
         factor = pathfold.demodulator(inputs) if self.network.demodulate else torch.ones_like(inputs["radiance"])
-        if predicted.cleaning is not None:
-            valid = torch.isfinite(inputs["radiance"]).all(1, keepdim=True)
-            factor = gather_finest(functional.pixel_shuffle(predicted.cleaning, 2), factor, valid)
+        factor = clean_factor(predicted, inputs["radiance"], factor)
         image = self.weigh(predicted, inputs["radiance"] / factor)
-        return Filtered(image * factor, predicted.logits, paths, None if self.albedo_kernels is None else factor)
+        return Filtered(image * factor, predicted.logits, paths, factor if self.cleans else None)
 
     @staticmethod
     def weigh(predicted: Prediction, image: Tensor) -> Tensor:

@@ -45,7 +45,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     task = load(options.checkpoint)
-    if not isinstance(task.model, Pathfold) or task.model.albedo_kernels is None:
+    if not isinstance(task.model, Pathfold) or not task.model.cleans:
         raise SystemExit(f"{options.checkpoint}: does not clean its albedo; name one of a pathfold preset")
     views = [view for view in Stored(options.data).held_out() if view.samples >= 2 * options.spp]
     if not views:

@@ -18,8 +18,8 @@ from pathfold import _core, models
 from pathfold.check import cases, check_model, references
 from pathfold.check.cases import CASES, Buffers, Draw
 from pathfold.check.measure import relative_error, tolerance
-from pathfold.check.outcome import Row
-from pathfold.check.prepare import auto_exposure, prepare, window_limits
+from pathfold.check.outcome import Row, factor_limits
+from pathfold.check.prepare import Branch, Prepared, auto_exposure, prepare, window_limits
 from pathfold.check.properties import PROPERTIES, gather
 from pathfold.cli import app, console
 from pathfold.denoising import Denoiser
@@ -53,6 +53,16 @@ def test_relative_error_names_the_worst_pixel() -> None:
     assert relative_error(np.full((1, 1, 1), math.nan), np.ones((1, 1, 1))) == (math.inf, (0, 0))
     tiny = np.full((1, 1, 1), 1e-40)
     assert relative_error(tiny, 2 * tiny)[0] < 1e-2  # denormals have few digits
+
+
+def test_a_cleaned_factor_is_bounded_by_what_its_pyramid_reaches() -> None:
+    factor = np.ones((1, 40, 3))
+    factor[0, 5] = 3.0
+    branch = Branch("network", "color", factor, factor, {}, clean=True)
+    low, high = factor_limits(branch, Prepared([branch], np.ones((1, 40), bool), 1.0, 1.0))
+    assert (low == 1.0).all()
+    assert (high[0, :20] == 3.0).all()  # 14 pixels away at most
+    assert (high[0, 20:] == 1.0).all()
 
 
 def test_window_limits_leave_masked_pixels_out() -> None:

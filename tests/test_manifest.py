@@ -30,7 +30,7 @@ BETWEEN_PARTS = (
     "names the graph embedding",
     r"inputs\.embedding is .*it must be \[1, ",
     "for a pyramid or an embedding",
-    r"tile\.overlap is \d+; it must be an integer from 62 ",  # a pyramid's reach
+    r"tile\.overlap is \d+; it must be an integer from (62|76) ",  # a pyramid's reach; and of what it is divided by
 )
 VALUES = st.one_of(
     st.none(),

@@ -17,7 +17,7 @@ from pathfold_training.networks.pathfold import (
     overlap,
     reconstruct,
 )
-from pathfold_training.networks.reconstruct import _WeighTaps, gather_finest, gather_pyramid
+from pathfold_training.networks.reconstruct import _WeighTaps, gather_factor, gather_pyramid
 from pathfold_training.score import load
 from pathfold_training.task import Denoising
 from training_data import write_data_set
@@ -34,14 +34,14 @@ TINY = Config(
 
 
 def random_logits(
-    height: int, width: int, seed: int = 0, spread: float = 3.0
+    height: int, width: int, seed: int = 0, spread: float = 3.0, count: int = 5
 ) -> tuple[torch.Tensor, list[torch.Tensor]]:
-    """Trust and five levels for a frame of height x width, float64."""
+    """Trust and `count` levels for a frame of height x width, float64."""
     g = torch.Generator().manual_seed(seed)
     h, w = -(-height // 16) * 16, -(-width // 16) * 16
     levels = [
-        spread * torch.randn((1, 30 if i < 4 else 25, h >> i, w >> i), generator=g, dtype=torch.float64)
-        for i in range(5)
+        spread * torch.randn((1, 30 if i < count - 1 else 25, h >> i, w >> i), generator=g, dtype=torch.float64)
+        for i in range(count)
     ]
     return -9 * torch.rand((1, 1, h, w), generator=g, dtype=torch.float64), levels
 
@@ -149,30 +149,33 @@ def test_pyramid_equals_its_formulas() -> None:
     np.testing.assert_allclose(out, expected, rtol=1e-12)
 
 
-def test_finest_level_alone() -> None:
-    """What gather_pyramid gives where no coarser level has a share; without a valid tap the value itself."""
-    trust, levels = random_logits(37, 50)
+def test_a_factor_is_filtered_without_trust_and_stays_where_nothing_is_valid() -> None:
+    _, levels = random_logits(37, 50, count=3)
     source, valid = noise(37, 50), torch.ones((1, 1, 37, 50), dtype=torch.bool)
-    levels[0][:, 29] = -50.0  # clamped: a share of 5e-5
-    local = gather_finest(levels[0][:, :25], source, valid)
-    torch.testing.assert_close(local, gather_pyramid(0 * trust, levels, source), rtol=0.02, atol=1e-3)
+    even = torch.zeros((1, 1, 48, 64), dtype=torch.float64)
+    torch.testing.assert_close(gather_factor(levels, source, valid), gather_pyramid(even, levels, source))
     constant = torch.full_like(source, 0.3)
-    torch.testing.assert_close(gather_finest(levels[0][:, :25], constant, valid), constant)
-    torch.testing.assert_close(gather_finest(levels[0][:, :25], source, ~valid), source, rtol=0, atol=0)
+    torch.testing.assert_close(gather_factor(levels, constant, valid), constant)
+    torch.testing.assert_close(gather_factor(levels, source, ~valid), source, rtol=0, atol=0)
+    valid[:, :, 8:30, 8:40] = False
+    holed = source.masked_fill(~valid, torch.nan)
+    torch.testing.assert_close(gather_factor(levels, source, valid), gather_pyramid(even, levels, holed))
 
 
-def test_the_albedo_is_cleaned_by_kernels_of_its_own() -> None:
+def packed(levels: list[torch.Tensor]) -> list[torch.Tensor]:
+    """Levels as a network predicts them."""
+    return [torch.cat([torch.nn.functional.pixel_unshuffle(levels[0], 2), levels[1]], 1), *levels[2:]]
+
+
+def test_the_albedo_is_cleaned_by_a_pyramid_of_its_own() -> None:
     trust, levels = random_logits(32, 32)
-    shuffle = torch.nn.functional.pixel_unshuffle
-    own = random_logits(32, 32, seed=1)[1][0][:, :25]
-    predicted = Prediction(
-        shuffle(trust, 2), [torch.cat([shuffle(levels[0], 2), levels[1]], 1), *levels[2:]], shuffle(own, 2)
-    )
+    own = random_logits(32, 32, seed=1, count=3)[1]
+    predicted = Prediction(torch.nn.functional.pixel_unshuffle(trust, 2), packed(levels), packed(own))
     factor = 0.1 + noise(32, 32) / 100
     radiance = noise(32, 32, seed=2)
     out, cleaned = reconstruct(predicted, radiance, factor)
     assert cleaned is not None
-    torch.testing.assert_close(cleaned, gather_finest(own, factor, torch.ones((1, 1, 32, 32), dtype=torch.bool)))
+    torch.testing.assert_close(cleaned, gather_factor(own, factor, torch.ones((1, 1, 32, 32), dtype=torch.bool)))
     assert (cleaned - factor).abs().max() > 0.1 * factor.mean()
     torch.testing.assert_close(out, cleaned * gather_pyramid(trust, levels, radiance / cleaned))  # in and out alike
     out, _ = reconstruct(predicted, 5.0 * cleaned, factor)  # one irradiance everywhere
@@ -201,7 +204,7 @@ def awake(network: Pyramid, seed: int = 0) -> Pathfold:
     """A network whose heads, which start at zero, are random too."""
     torch.manual_seed(seed)
     model = Pathfold(network)
-    for head in (model.trust, *model.heads, model.presence, *([model.albedo_kernels] if model.albedo_kernels else [])):
+    for head in (model.trust, *model.heads, model.presence, *model.albedo_heads):
         torch.nn.init.normal_(head.weight, std=0.1)  # type: ignore[arg-type]
     return model.eval()
 
@@ -211,8 +214,10 @@ def test_untrained_network_is_a_plain_blur() -> None:
     with torch.no_grad():
         predicted, _ = model(frame(32, 32, 2))
     assert max(float(level.abs().max()) for level in predicted.logits) == 0.0
-    weights = torch.softmax(predicted.cleaning[0, ::4, 0, 0], 0)
-    assert float(weights[12]) == pytest.approx(0.944, abs=1e-3)  # the albedo nearly as it is
+    finest = predicted.cleaning[0][0, :120:4, 0, 0]
+    assert float(torch.softmax(finest[:25], 0)[12]) == pytest.approx(0.944, abs=1e-3)  # the albedo nearly as it is
+    assert float(torch.sigmoid(finest[29])) == pytest.approx(0.018, abs=1e-3)
+    assert float(predicted.cleaning[0][0, 120:].abs().max()) == float(predicted.cleaning[1].abs().max()) == 0.0
 
 
 @pytest.mark.parametrize(("height", "width", "samples"), [(1, 1, 1), (17, 40, 3)])
@@ -231,14 +236,15 @@ def test_overlap_covers_the_receptive_field() -> None:
     inputs = {n: v.double() for n, v in frame(side, side, 1).items()}
     inputs["samples.descriptor"].requires_grad_()
     inputs["radiance"].requires_grad_()
+    inputs["albedo"].requires_grad_()
     centre = slice(160, 176)
     model.filter(inputs)[0][:, :, centre, centre].sum().backward()
-    for name in ("radiance", "samples.descriptor"):
+    reached = []
+    for name in ("radiance", "albedo", "samples.descriptor"):
         touched = inputs[name].grad.abs().sum((0, 1)) > 0  # type: ignore[union-attr]
-        rows, columns = touched.any(1).nonzero(), touched.any(0).nonzero()
-        for index in (rows, columns):
-            assert 160 - reach <= int(index.min()) <= 160 - reach + 16  # enough, and not a whole block too much
-            assert 175 + reach - 16 <= int(index.max()) <= 175 + reach
+        for index in (touched.any(1).nonzero(), touched.any(0).nonzero()):
+            reached += [160 - int(index.min()), int(index.max()) - 175]
+    assert reach - 16 <= max(reached) <= reach  # enough, and not a whole block too much
 
 
 def test_scaled_descriptors_are_folded_into_the_weights() -> None:
@@ -327,18 +333,22 @@ def test_a_wider_network_begins_as_the_narrow_one(tmp_path, scaled: bool) -> Non
         warm_start(Denoising(TINY.model_copy(update={"network": shrunk})), narrow)
 
 
-def test_a_network_that_cleaned_otherwise_is_a_start_without_its_cleaning(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Its head read the U-Net's last features; the kernels begin anew, all else goes on."""
+@pytest.mark.parametrize("kernel", [True, False])
+def test_a_network_that_cleaned_otherwise_is_a_start(tmp_path, kernel: bool) -> None:  # type: ignore[no-untyped-def]
+    """By one 5x5 kernel, which the finest level goes on with; or by the U-Net's last features: that begins anew."""
     checkpoint = fit(TINY, write_data_set(tmp_path / "data"), tmp_path / "run", validate_every=1000, threads=1)
     state = torch.load(checkpoint, weights_only=True)
     for name in ("weight", "bias"):
-        state["state_dict"][f"model.cleaning.{name}"] = state["state_dict"].pop(f"model.albedo_kernels.{name}") + 1.0
+        own = [state["state_dict"].pop(f"model.albedo_heads.{level}.{name}") for level in (0, 1)]
+        state["state_dict"][f"model.albedo_kernels.{name}" if kernel else f"model.cleaning.{name}"] = own[0][:100] + 1.0
     torch.save(state, checkpoint)
     task = Denoising(TINY)
     assert isinstance(task.model, Pathfold)
-    assert task.model.albedo_kernels is not None
-    fresh = {name: value.clone() for name, value in task.model.albedo_kernels.state_dict().items()}
+    fresh = {name: value.clone() for name, value in task.model.albedo_heads.state_dict().items()}
     warm_start(task, checkpoint)
-    for name, value in task.model.albedo_kernels.state_dict().items():
-        torch.testing.assert_close(value, fresh[name], rtol=0, atol=0)
+    for name, value in task.model.albedo_heads.state_dict().items():
+        begun = fresh[name]
+        if kernel and name.startswith("0."):
+            begun[:100] = state["state_dict"][f"model.albedo_kernels.{name[2:]}"]
+        torch.testing.assert_close(value, begun, rtol=0, atol=0)
     torch.testing.assert_close(task.model.first.weight, state["state_dict"]["model.first.weight"])

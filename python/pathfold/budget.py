@@ -22,7 +22,7 @@ ROUNDS = 2  # of a trial
 IN_WINDOWS = ("pack", "network", "reconstruct")  # the stages of a run that see a tile's window
 # On what a trial tells: other programs run, too, and what the heap had free hides some of what is needed.
 TIME_MARGIN, MEMORY_MARGIN = 1.25, 1.4
-TRIAL_EDGE = 64  # pixels of a trial's piece at least: what any run takes is little beside what its pixels take
+TRIAL_EDGE = 64  # pixels of a trial's piece at least: on smaller ones a run's fixed cost hides what its pixels take
 LARGEST_WINDOW = 640 * 1024  # pixels; larger ones are not faster
 
 Buffers = Mapping[str, NDArray[Any]]
@@ -215,7 +215,9 @@ def _try(denoiser: Denoiser, buffers: Buffers, samples_per_pixel: int) -> Cost:
     """Denoise the middle of the frame: a small piece to warm up, then the model's smallest window or a larger one."""
     # What loading the model left free in the heap would hide some of what the first run takes.
     edge = max(Tiling.of(denoiser).smallest_window, TRIAL_EDGE)
-    small, piece = ({name: _middle(pixels, size) for name, pixels in buffers.items()} for size in (edge // 2, edge))
+    small, piece = (
+        {name: _middle(pixels, size) for name, pixels in buffers.items()} for size in (edge // 4, edge)
+    )  # the first's tensors stay
     denoiser.run_buffers(small, samples_per_pixel=samples_per_pixel)
     before = memory.forget_peak()
     reports = [denoiser.run_buffers(piece, samples_per_pixel=samples_per_pixel).report for _ in range(ROUNDS)]

@@ -16,7 +16,7 @@ constexpr int64_t default_logits_bytes = 256 * mebibyte;
 constexpr int64_t default_input_bytes = 512 * mebibyte;
 constexpr int64_t default_window_pixels = 640 * 1024;  // 544 x 960 and its overlap: bounds the network's part
 constexpr int64_t pyramid_window_pixels = 1280 * 1024; // its network is lighter and its overlap larger
-constexpr int64_t cleaner_floats = 11; // a pixel: source and sum of weights, filtered and cleaned factor
+constexpr int64_t cleaner_floats = 14; // a pixel: the factor's pyramid, filtered and cleaned factor
 
 int64_t square(int64_t value) { return value * value; }
 
@@ -44,7 +44,7 @@ int64_t samples_per_pixel(const Frame &frame, const Settings &settings) {
     return std::max(settings.samples_per_pixel, frame.samples());
 }
 
-/// How many of logits.2 belong to the finest level.
+/// How many of what is predicted at half resolution belong to the finest level.
 size_t finest_logits(const Rect &window) {
     return size_t(PyramidLogits::channels) * Pyramid::rounded_up(window.height) *
            Pyramid::rounded_up(window.width);
@@ -341,7 +341,7 @@ void Denoiser::Run::fill_pyramid(const Tile &tile, int branch, int planes) {
     });
 }
 
-/// The branch's factor for the window, filtered by the kernels `cleaning`.
+/// The branch's factor for the window, filtered by the pyramid `cleaning`, which has no trust.
 void Denoiser::Run::clean_factor(const Tile &tile, int branch) {
     const ActiveBranch &active = prepared_.branches[size_t(branch)];
     const Planes &factor = active.factor;
@@ -351,7 +351,7 @@ void Denoiser::Run::clean_factor(const Tile &tile, int branch) {
         return;
     Pyramid &source = denoiser_.cleaner_;
     const Rect &window = tile.window;
-    source.reset(planes, window.height, window.width, 1);
+    source.reset(planes, window.height, window.width, Pyramid::factor_levels);
     for_rows(threads_, window.height, [&](int row) {
         const uint8_t *valid = prepared_.valid.data() + size_t(window.y + row) * frame_.width() + window.x;
         std::copy_n(valid, window.width, source.valid_row(row));
@@ -361,19 +361,19 @@ void Denoiser::Run::clean_factor(const Tile &tile, int branch) {
                            [](uint8_t is_valid, float value) { return is_valid != 0 ? value : 0; });
     });
     const size_t plane = size_t(width) * height;
-    std::vector<float> local(plane * (size_t(planes) + 1));
-    PyramidLogits kernels; // of the finest level, without trust
-    kernels.levels[0] = output("cleaning");
-    source.apply(threads_, kernels, {0, 0, width, height}, local.data());
+    std::vector<float> filtered(plane * size_t(planes)), known(plane);
+    const float *half = output("cleaning.2");
+    const PyramidLogits logits{nullptr, {half, half + finest_logits(window), output("cleaning.4")}};
+    source.apply(threads_, logits, {0, 0, width, height}, filtered.data(), known.data());
     cleaned_ = Planes(planes, height, width);
     for_rows(threads_, height, [&](int y) {
-        const float *known = local.data() + size_t(planes) * plane + size_t(y) * width;
+        const size_t row = size_t(y) * width;
         for (int c = 0; c < planes; ++c) {
             const float *noisy = factor.row(c, window.y + y) + window.x;
-            const float *clean = known - plane * size_t(planes - c);
+            const float *clean = filtered.data() + plane * size_t(c) + row;
             float *to = cleaned_.row(c, y);
             for (int x = 0; x < width; ++x)
-                to[x] = known[x] > 0 ? clean[x] : noisy[x];
+                to[x] = known[row + x] > 0 ? clean[x] : noisy[x];
         }
     });
 }

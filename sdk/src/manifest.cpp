@@ -387,7 +387,11 @@ const Branch &Manifest::unsplit_branch() const {
     return *std::find_if(branches.begin(), branches.end(), [](const Branch &b) { return b.unsplit; });
 }
 
-int Manifest::reach() const { return pyramid ? Pyramid::reach : kernel_size / 2; }
+int Manifest::reach() const {
+    if (!pyramid)
+        return kernel_size / 2;
+    return Pyramid::reach() + (unsplit_branch().clean ? Pyramid::reach(Pyramid::factor_levels) : 0);
+}
 
 std::map<std::string, Shape> Manifest::outputs() const {
     const auto logits = [](int64_t channels, const std::string &part) {
@@ -402,8 +406,10 @@ std::map<std::string, Shape> Manifest::outputs() const {
         {"logits.4", logits(level, "/4")},
         {"logits.8", logits(level, "/8")},
         {"logits.16", logits(PyramidLogits::coarsest_channels, "/16")}};
-    if (unsplit_branch().clean)
-        shapes["cleaning"] = logits(4 * PyramidLogits::coarsest_channels, "/2");
+    if (unsplit_branch().clean) {
+        shapes["cleaning.2"] = shapes["logits.2"];
+        shapes["cleaning.4"] = logits(PyramidLogits::coarsest_channels, "/4");
+    }
     return shapes;
 }
 

@@ -33,9 +33,8 @@ struct Branch {
     std::string radiance;      ///< "color", "diffuse" or "specular"
     std::string demodulate_by; ///< buffer that radiance is divided by before filtering; empty: none
     float epsilon = 0;         ///< added to that buffer
-    bool clean =
-        false; ///< the network predicts kernels that clean that buffer before it divides and multiplies
-    bool unsplit = false; ///< takes color where a frame is not split; its kernels filter alpha too
+    bool clean = false;        ///< a predicted pyramid cleans that buffer before it divides and multiplies
+    bool unsplit = false;      ///< takes color where a frame is not split; its kernels filter alpha too
 };
 
 /// A model folder's manifest.json, validated. `text` is the file as it stands.

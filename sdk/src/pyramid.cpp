@@ -1,6 +1,7 @@
 #include "pyramid.h"
 
 #include <algorithm>
+#include <cassert>
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "pyramid.cpp"
@@ -236,13 +237,11 @@ HWY_EXPORT(HalveRow);
 HWY_EXPORT(FilterRow);
 
 void Pyramid::reset(int planes, int height, int width, int count) {
+    assert(count >= 2 && count <= levels);
     planes_ = planes, count_ = count;
-    for (int l = 0; l < levels;
-         ++l) { // the finest level's logits lie in the cells of the next one, filtered or not
+    for (int l = 0; l < count; ++l) {
         level_[l].height = rounded_up(height) >> l;
         level_[l].width = rounded_up(width) >> l;
-        if (l >= count)
-            continue;
         // vectors are read a little past the last row
         const size_t size = size_t(planes + 1) * level_[l].plane_stride() + 2 * pyramid_block;
         level_[l].source.assign(size, 0.0f);
@@ -263,7 +262,8 @@ void Pyramid::weigh(Threads &threads, const float *trust) {
                  [&](int y) { HWY_DYNAMIC_DISPATCH(HalveRow)(level_[l - 1], level_[l], planes_, y); });
 }
 
-void Pyramid::filter(Threads &threads, const PyramidLogits &logits, int l, const Rect &area, float *result) {
+void Pyramid::filter(Threads &threads, const PyramidLogits &logits, int l, const Rect &area, float *result,
+                     float *known) {
     const Level &cells = level_[std::max(l, 1)]; // the finest level's logits lie in the cells of the next
     const size_t plane = size_t(cells.width) * cells.height;
     threads.execute([&] {
@@ -280,7 +280,7 @@ void Pyramid::filter(Threads &threads, const PyramidLogits &logits, int l, const
                     row.logit_stride = 4 * plane, row.phase_stride = plane;
                     row.result = result + size_t(y - area.y) * area.width - area.x;
                     row.result_stride = size_t(area.width) * area.height;
-                    row.known = count_ == 1 ? row.result + size_t(planes_) * row.result_stride : nullptr;
+                    row.known = known == nullptr ? nullptr : known + size_t(y - area.y) * area.width - area.x;
                 } else {
                     row.logits = logits.levels[l] + size_t(y) * cells.width;
                     row.logit_stride = plane;
@@ -294,11 +294,12 @@ void Pyramid::filter(Threads &threads, const PyramidLogits &logits, int l, const
     });
 }
 
-void Pyramid::apply(Threads &threads, const PyramidLogits &logits, const Rect &core, float *result) {
+void Pyramid::apply(Threads &threads, const PyramidLogits &logits, const Rect &core, float *result,
+                    float *known) {
     weigh(threads, logits.trust);
     for (int l = count_ - 1; l > 0; --l)
-        filter(threads, logits, l, {0, 0, level_[l].width, level_[l].height}, nullptr);
-    filter(threads, logits, 0, core, result);
+        filter(threads, logits, l, {0, 0, level_[l].width, level_[l].height}, nullptr, nullptr);
+    filter(threads, logits, 0, core, result, known);
 }
 
 } // namespace pathfold::core

@@ -13,9 +13,9 @@ namespace pathfold::core {
 ///
 /// `trust` [4][H/2][W/2]: of each pixel, in [-9, 0]; channel 2 * (y % 2) + x % 2. Null: 0 everywhere.
 /// `levels[0]` [4 * 30][H/2][W/2]: the finest level, channel 4 * c + 2 * (y % 2) + x % 2 for its logit c;
-/// `levels[l]` [30][H/2^l][W/2^l], the last one [25]. A level's logits: 25 of the 5 x 5 kernel, row by row, 4
-/// of the 2 x 2 upsampling, row by row, and the blend. Arrays may be read up to pyramid_slack floats past
-/// their end.
+/// `levels[l]` [30][H/2^l][W/2^l], the last one that is used [25]. A level's logits: 25 of the 5 x 5 kernel,
+/// row by row, 4 of the 2 x 2 upsampling, row by row, and the blend. Arrays may be read up to pyramid_slack
+/// floats past their end.
 struct PyramidLogits {
     static constexpr int level_count = 5;
     static constexpr int coarsest_channels = 25, channels = 25 + 4 + 1;
@@ -36,23 +36,26 @@ class Pyramid {
 public:
     static constexpr int levels = PyramidLogits::level_count;
     static constexpr int alignment = 1 << (levels - 1);
-    static constexpr int reach =
-        4 * alignment - 2; ///< a result depends on values at most so many pixels away
+    static constexpr int factor_levels = 3; ///< of the pyramid that cleans what radiance is divided by
+
+    /// A result of `count` levels depends on values at most so many pixels away: two of the coarsest cells
+    /// and what upsampling adds.
+    static constexpr int reach(int count = levels) { return (4 << (count - 1)) - 2; }
 
     static constexpr int rounded_up(int size) { return (size + alignment - 1) / alignment * alignment; }
 
-    /// Starts a window with everything 0 and not valid; keeps its memory. `count` 1 makes it F_0 alone, the
-    /// finest kernels: `apply` then gives one plane more, 1 where any tap was valid, else 0. As gather_finest
-    /// there.
+    /// Starts a window of so many levels, 2 at least, with everything 0 and not valid; keeps its memory.
     void reset(int planes, int height, int width, int count = levels);
 
     int planes() const { return planes_; }
     float *row(int plane, int y) { return level_[0].source_row(plane, y); }
     float *valid_row(int y) { return row(planes_, y); } ///< 1 where the pixel is valid, else 0
 
-    /// result[plane][y][x] of the part `core` of the window, whose corner lies at a multiple of 16. Uses up
-    /// the values that were filled in.
-    void apply(Threads &threads, const PyramidLogits &logits, const Rect &core, float *result);
+    /// result[plane][y][x] of the part `core` of the window, whose corner lies at a multiple of 16;
+    /// `known[y][x]`, unless null, becomes 1 where there is a result, else 0. Uses up the values that were
+    /// filled in.
+    void apply(Threads &threads, const PyramidLogits &logits, const Rect &core, float *result,
+               float *known = nullptr);
 
     /// One resolution: planes and then their weight, with a margin of zeros.
     struct Level {
@@ -73,7 +76,8 @@ public:
 
 private:
     void weigh(Threads &threads, const float *trust);
-    void filter(Threads &threads, const PyramidLogits &logits, int level, const Rect &area, float *result);
+    void filter(Threads &threads, const PyramidLogits &logits, int level, const Rect &area, float *result,
+                float *known);
 
     int planes_ = 0, count_ = levels;
     std::array<Level, levels> level_;

@@ -57,8 +57,8 @@ struct Plane {
     }
 };
 
-/// The formulas in the header, pixel by pixel. NaN is not valid.
-std::vector<double> naive(const Prediction &prediction, const Pixels &image, int channel) {
+/// The formulas in the header, pixel by pixel; 0 where nothing is known. NaN is not valid.
+std::vector<double> naive(const Prediction &prediction, const Pixels &image, int channel, int levels = 5) {
     std::vector<Plane> numbers, weights;
     numbers.emplace_back(prediction.height, prediction.width);
     weights.emplace_back(prediction.height, prediction.width);
@@ -68,7 +68,7 @@ std::vector<double> naive(const Prediction &prediction, const Pixels &image, int
                 weights[0].at(y, x) = prediction.trust_at(y, x);
                 numbers[0].at(y, x) = prediction.trust_at(y, x) * value;
             }
-    for (int l = 1; l < 5; ++l)
+    for (int l = 1; l < levels; ++l)
         for (auto *maps : {&numbers, &weights}) {
             Plane half(prediction.height >> l, prediction.width >> l);
             for (int y = 0; y < half.height; ++y)
@@ -80,7 +80,7 @@ std::vector<double> naive(const Prediction &prediction, const Pixels &image, int
             maps->push_back(half);
         }
     Plane result(0, 0), known(0, 0);
-    for (int l = 4; l >= 0; --l) {
+    for (int l = levels - 1; l >= 0; --l) {
         Plane out(prediction.height >> l, prediction.width >> l), out_known = out;
         for (int y = 0; y < out.height; ++y)
             for (int x = 0; x < out.width; ++x) {
@@ -90,13 +90,13 @@ std::vector<double> naive(const Prediction &prediction, const Pixels &image, int
                     top += k * numbers[l].get(y + tap / 5 - 2, x + tap % 5 - 2);
                     bottom += k * weights[l].get(y + tap / 5 - 2, x + tap % 5 - 2);
                 }
-                for (int j = 0; j < 4 && l < 4; ++j) {
+                for (int j = 0; j < 4 && l < levels - 1; ++j) {
                     const int v = (y + 1) / 2 - 1 + j / 2, u = (x + 1) / 2 - 1 + j % 2;
                     const double k = std::exp(prediction.logit(l, 25 + j, y, x)) * known.get(v, u);
                     coarse_top += k * result.get(v, u);
                     coarse_bottom += k;
                 }
-                if (l < 4)
+                if (l < levels - 1)
                     share = 1 / (1 + std::exp(-prediction.logit(l, 29, y, x)));
                 const double own = bottom > 0 ? 1 - share : 0, coarse = coarse_bottom > 0 ? share : 0;
                 if (own + coarse == 0)
@@ -111,8 +111,9 @@ std::vector<double> naive(const Prediction &prediction, const Pixels &image, int
     return result.values;
 }
 
-/// With one level the result has a channel more: whether it is known.
-Pixels filtered(const Prediction &prediction, const Pixels &image, Rect core = {}, int levels = 5) {
+/// With `known` the result has a channel more.
+Pixels filtered(const Prediction &prediction, const Pixels &image, Rect core = {}, int levels = 5,
+                bool known = false) {
     if (core.width == 0)
         core = {0, 0, image.width, image.height};
     Pyramid pyramid;
@@ -127,9 +128,10 @@ Pixels filtered(const Prediction &prediction, const Pixels &image, Rect core = {
                 pyramid.row(c, y)[x] = image.at(y, x, c);
             pyramid.valid_row(y)[x] = valid;
         }
-    const int channels = image.channels + (levels == 1 ? 1 : 0);
+    const int channels = image.channels + (known ? 1 : 0);
     std::vector<float> planar(size_t(core.height) * core.width * channels);
-    pyramid.apply(threads, prediction.logits(), core, planar.data());
+    pyramid.apply(threads, prediction.logits(), core, planar.data(),
+                  known ? planar.data() + size_t(core.height) * core.width * image.channels : nullptr);
     Pixels result(core.height, core.width, channels);
     for (int c = 0; c < channels; ++c)
         for (int y = 0; y < core.height; ++y)
@@ -179,30 +181,27 @@ TEST(Pyramid, ConstantsAreKeptAcrossAllMagnitudes) {
             EXPECT_NEAR(kept, value, 3e-6 * value);
 }
 
-TEST(Pyramid, FinestLevelAlone) {
-    Pixels image = noise(40, 70, 3, 13);
-    for (int y = 8; y < 16; ++y)
-        for (int x = 20; x < 31; ++x)
-            image.at(y, x, 0) = std::numeric_limits<float>::quiet_NaN();
-    const Prediction prediction(40, 70, 3, 14);
-    const Rect core{16, 0, 50, 40};
-    const Pixels result = filtered(prediction, image, core, 1);
-    for (int y = 0; y < core.height; ++y)
-        for (int x = 0; x < core.width; ++x) {
-            double top = 0, bottom = 0;
-            for (int tap = 0; tap < 25; ++tap) {
-                const int v = y + tap / 5 - 2, u = core.x + x + tap % 5 - 2;
-                if (v < 0 || u < 0 || v >= image.height || u >= image.width ||
-                    !std::isfinite(image.at(v, u, 0)))
-                    continue;
-                const double k =
-                    std::exp(prediction.logit(0, tap, y, core.x + x)) * prediction.trust_at(v, u);
-                top += k * image.at(v, u, 1), bottom += k;
+TEST(Pyramid, OfThreeLevelsWithWhatIsKnown) {
+    Pixels image = noise(41, 90, 3, 13);
+    for (int y = 0; y < 36; ++y)
+        for (int x = 20; x < 80; ++x)
+            image.at(y, x, 0) = image.at(y, x, 1) = image.at(y, x, 2) =
+                std::numeric_limits<float>::quiet_NaN();
+    const Prediction prediction(41, 90, 3, 14);
+    const Rect core{16, 0, 70, 41};
+    const Pixels result = filtered(prediction, image, core, 3, true);
+    int unknown = 0;
+    for (int c = 0; c < 3; ++c) {
+        const std::vector<double> right = naive(prediction, image, c, 3);
+        for (int y = 0; y < core.height; ++y)
+            for (int x = 0; x < core.width; ++x) {
+                const double value = right[size_t(y) * prediction.width + core.x + x];
+                ASSERT_NEAR(result.at(y, x, c), value, 1e-5 * value) << y << ", " << x << ", " << c;
+                EXPECT_EQ(result.at(y, x, 3), value > 0 ? 1.0f : 0.0f) << y << ", " << x;
+                unknown += value == 0;
             }
-            EXPECT_EQ(result.at(y, x, 3), bottom > 0 ? 1.0f : 0.0f);
-            const double value = bottom > 0 ? top / bottom : 0;
-            ASSERT_NEAR(result.at(y, x, 1), value, 1e-5 * value);
-        }
+    }
+    EXPECT_GT(unknown, 0);
 }
 
 TEST(Pyramid, StaysBetweenLeastAndLargest) {

@@ -42,7 +42,7 @@ class Pyramid(Strict):
     embedding: int = Field(8, ge=1, description="C: channels of the path embedding")
     embedded: int = Field(0, ge=0, description="the most samples of a pixel that are embedded; 0 for all of them")
     demodulate: bool = Field(True, description="radiance is divided by the albedo while it is filtered")
-    clean: bool = Field(False, description="an albedo that 5x5 kernels of its own have cleaned")
+    clean: bool = Field(False, description="an albedo that a pyramid of its own, of three levels, has cleaned")
     scaled: bool = Field(False, description="descriptors enter the embedding with mean 0 and deviation 1")
 
     @property

@@ -237,7 +237,7 @@ def write_pyramid(model: Pathfold, out: Path) -> dict:
     branch: dict[str, Any] = {"name": "color", "graph": "network", "radiance": "color", "unsplit": True}
     if model.network.demodulate:
         branch["demodulate"] = {"by": "albedo", "epsilon": pathfold.ALBEDO_EPSILON}
-    if model.albedo_kernels is not None:
+    if model.cleans:
         branch["demodulate"]["clean"] = True
     return {
         "requires": ["color"],

@@ -150,6 +150,7 @@ def warm_start(task: Denoising, source: Path) -> None:
     merged = {name: value.clone() for name, value in plain_weights(task).items()}
     for name, value in folder_weights(source).items() if source.is_dir() else checkpoint_weights(source).items():
         name = re.sub(r"^(model\.branches\.\w+)\.head\.", r"\1.kernels.", name)  # as the first models have it
+        name = name.replace("model.albedo_kernels.", "model.albedo_heads.0.")  # one 5x5 kernel: the finest level's
         new = merged.get(name)
         if new is None or not fits(value, new, wider and not name.startswith("model.sample.")):
             raise ValueError(f"{source}: its weight {name} does not fit preset '{task.config.name}'")
@@ -194,20 +195,28 @@ def plain_weights(task: Denoising) -> dict[str, torch.Tensor]:
 def checkpoint_weights(checkpoint: Path) -> dict[str, torch.Tensor]:
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
     task = Denoising(Config.model_validate(state["hyper_parameters"]["config"]))
-    # networks of before cleaned the albedo by other features: this head begins anew
-    stored = {name: value for name, value in state["state_dict"].items() if not name.startswith("model.cleaning.")}
-    fresh = {name: value for name, value in task.state_dict().items() if name.startswith("model.albedo_kernels.")}
+    # networks of before cleaned the albedo by one kernel, whose weights go on, or by other features, whose do not
+    before = ("model.cleaning.", "model.albedo_kernels.")
+    stored = {name: value for name, value in state["state_dict"].items() if not name.startswith(before)}
+    fresh = {name: value for name, value in task.state_dict().items() if name.startswith("model.albedo_heads.")}
     task.load_state_dict(fresh | stored)
-    return plain_weights(task)
+    one_kernel = {name: value for name, value in state["state_dict"].items() if name.startswith(before[1])}
+    return plain_weights(task) | one_kernel
 
 
 def folder_weights(folder: Path) -> dict[str, torch.Tensor]:
-    """The weights in a model folder's graphs: their initialisers keep the modules' names."""
+    """The weights in a model folder's graphs: their initialisers keep the modules' names.
+
+    Raises ValueError for graphs that `pathfold-train export` did not write.
+    """
     weights = {}
     manifest = json.loads((folder / "manifest.json").read_text())
     graphs = {name: graph_weights(folder / graph["file"]) for name, graph in manifest["graphs"].items()}
     if manifest["reconstruction"]["operator"] == "pyramid":
-        return {f"model.{name}": value for name, value in trained_weights(**graphs).items()}
+        try:
+            return {f"model.{name}": value for name, value in trained_weights(**graphs).items()}
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"{folder}: not written by 'pathfold-train export' ({error}); give a checkpoint") from None
     for graph, tensors in graphs.items():
         for name, value in tensors.items():
             if name.startswith("branch."):

@@ -44,9 +44,8 @@ def denoise(task: Denoising, frame: Prepared, manifest: dict[str, Any]) -> tuple
         with torch.no_grad():
             if isinstance(task.model, Pathfold):
                 predicted, _ = task.model({name: tensor(name, block) for name, block in part.inputs.items()})
-                cleaning = [] if predicted.cleaning is None else [predicted.cleaning]
                 filtered, _ = reconstruct(predicted, radiance, factor)
-                largest = max(float(level.abs().max()) for level in (predicted.trust, *predicted.logits, *cleaning))
+                largest = max(float(level.abs().max()) for level in predicted.flat())
             else:
                 branch = task.model.branch(part.graph)
                 predicted = branch({name: tensor(name, part.inputs[name]) for name in branch.input_names()})

@@ -11,7 +11,7 @@ from pathfold.check.measure import SMALLEST, relative_error, tolerance
 from pathfold.check.prepare import Array, Branch, Prepared, window_limits
 from pathfold.denoising import Result
 
-CLEANING_RADIUS = 2  # pixels: of a pyramid's finest kernels
+CLEANING_RADIUS = 14  # pixels that a pyramid of three levels reaches: two of its coarsest cells, and 6 by upsampling
 
 
 @dataclass
@@ -60,7 +60,7 @@ class Row:
 def bounded(result: Result, frame: Prepared, manifest: dict[str, Any]) -> bool:
     """Whether each branch's result, before remodulation, lies within the least and largest value of its window.
 
-    Where the factor is cleaned, what divides and multiplies lies within its own 5 x 5 window in turn.
+    Where the factor is cleaned, what divides and multiplies lies within a window of its own in turn.
     """
     split, slack = len(frame.branches) > 1, tolerance("bounded")
     for branch in frame.branches:

@@ -17,7 +17,7 @@ from ..config import Pyramid
 from ..features import DESCRIPTOR_CHANNELS
 from .embedding import INPUT_DEVIATION, INPUT_MEAN, sample_sum
 from .kpcn import path_features
-from .reconstruct import COARSEST_LOGITS, KERNEL_TAPS, LEVEL_LOGITS, gather_finest, gather_pyramid
+from .reconstruct import COARSEST_LOGITS, KERNEL_TAPS, LEVEL_LOGITS, gather_factor, gather_pyramid
 
 LEVELS = 5
 ALIGNMENT = 1 << (LEVELS - 1)
@@ -27,8 +27,9 @@ ALBEDO_EPSILON = 0.01  # of the demodulator albedo + epsilon: bounds what a blac
 SAMPLE_WIDTH = 32
 HEADS = [4 * LEVEL_LOGITS + LEVEL_LOGITS, LEVEL_LOGITS, LEVEL_LOGITS, COARSEST_LOGITS]  # channels from 1/2 to 1/16
 TRUST_START = -2.0  # sigmoid(-2) * -9 = -1.1: room on both sides of the initial trust
-CLEANING_TAPS = len(KERNEL_TAPS)
-CLEANING_START = 6.0  # of the kernel's centre: 0.94 of the albedo stays as it is
+ALBEDO_HEADS = [4 * LEVEL_LOGITS + LEVEL_LOGITS, COARSEST_LOGITS]  # of its own pyramid of three levels, at 1/2 and 1/4
+ALBEDO_CENTRE = 6.0  # logit of the finest kernel's centre at first: 0.94 of the albedo stays as it is
+ALBEDO_BLEND = -4.0  # and of the coarser levels' share, 0.02
 
 
 class Prediction(NamedTuple):
@@ -38,7 +39,11 @@ class Prediction(NamedTuple):
     logits: list[
         Tensor
     ]  # from 1/2 to 1/16; at 1/2 level 0's, four pixels as above, then level 1's: B x 150 x H/2 x W/2
-    cleaning: Tensor | None  # B x 100 x H/2 x W/2, the logits of 5x5 kernels; None where the albedo is not cleaned
+    cleaning: list[Tensor]  # likewise of the albedo's own pyramid, at 1/2 and 1/4; empty where it is not cleaned
+
+    def flat(self) -> list[Tensor]:
+        """All of it, in the order of output_shapes."""
+        return [self.trust, *self.logits, *self.cleaning]
 
 
 class Filtered(NamedTuple):
@@ -109,21 +114,25 @@ class Pathfold(nn.Module):
         self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(widths))
         self.up = nn.ModuleList(block(a, a, n) for a, n in zip(widths[:-1], counts[:-1], strict=True))
         self.trust = nn.Conv2d(widths[0], 4, 1)
-        cleans = network.demodulate and network.clean
-        self.albedo_kernels = nn.Conv2d(widths[0], 4 * CLEANING_TAPS, 1) if cleans else None
+        cleaning = ALBEDO_HEADS if network.demodulate and network.clean else []
+        self.albedo_heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, cleaning, strict=False))
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, HEADS, strict=True))
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                 module.bias.data.zero_()  # type: ignore[union-attr]
-        for head in (self.trust, *self.heads, self.presence):  # start from uniform kernels
+        for head in (self.trust, *self.heads, *self.albedo_heads, self.presence):  # start from uniform kernels
             head.weight.data.zero_()
             head.bias.data.zero_()
         self.trust.bias.data.fill_(TRUST_START)  # type: ignore[union-attr]
-        if self.albedo_kernels is not None:
-            self.albedo_kernels.weight.data.zero_()
-            centre = CLEANING_TAPS // 2
-            self.albedo_kernels.bias.data[4 * centre : 4 * centre + 4] = CLEANING_START  # type: ignore[union-attr]
+        if self.cleans:
+            finest = self.albedo_heads[0].bias.data[: 4 * LEVEL_LOGITS].view(LEVEL_LOGITS, 4)  # type: ignore[index]
+            finest[len(KERNEL_TAPS) // 2], finest[-1] = ALBEDO_CENTRE, ALBEDO_BLEND
+
+    @property
+    def cleans(self) -> bool:
+        """Whether the albedo is cleaned before it divides and multiplies radiance."""
+        return len(self.albedo_heads) > 0
 
     def forward(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Prediction, Tensor]:
         """What is predicted, and the embeddings N x C x H x W of the samples."""
@@ -144,7 +153,7 @@ class Pathfold(nn.Module):
         x = torch.cat([pixels, embedding_moments(sums)], 1).contiguous(memory_format=torch.channels_last)
         return self.first(x) + self.presence(presence(inputs))[:, :, None, None]
 
-    def features(self, entrance: Tensor) -> tuple[Tensor, Tensor | None, list[Tensor]]:
+    def features(self, entrance: Tensor) -> tuple[Tensor, list[Tensor], list[Tensor]]:
         """The U-Net: trust and cleaning as in Prediction, and what the heads read, B x width x H/2 x W/2 down to 1/16.
 
         Trust and cleaning are wanted for every pixel that a kernel reaches, so they look at few pixels around it.
@@ -155,7 +164,7 @@ class Pathfold(nn.Module):
             x = down(functional.max_pool2d(x, 2) if level > 0 else x)
             skips.append(x)
         trust = -9.0 * torch.sigmoid(exact(self.trust(skips[0])))
-        cleaning = None if self.albedo_kernels is None else exact(self.albedo_kernels(skips[0]))
+        cleaning = [exact(head(x)) for head, x in zip(self.albedo_heads, skips, strict=False)]
         decoded = [x]
         for level in reversed(range(len(self.up))):
             decoded.insert(0, self.up[level](skips[level] + upsample(self.project[level](decoded[0]))))
@@ -171,7 +180,9 @@ class Pathfold(nn.Module):
         shapes: dict[str, list[int | str]] = {"trust": [1, 4, "H/2", "W/2"]}
         for level, channels in enumerate(HEADS, 1):
             shapes[f"logits.{1 << level}"] = [1, channels, f"H/{1 << level}", f"W/{1 << level}"]
-        return shapes if self.albedo_kernels is None else shapes | {"cleaning": [1, 4 * CLEANING_TAPS, "H/2", "W/2"]}
+        for level, head in enumerate(self.albedo_heads, 1):
+            shapes[f"cleaning.{1 << level}"] = [1, head.out_channels, f"H/{1 << level}", f"W/{1 << level}"]  # type: ignore[list-item]
+        return shapes
 
     def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Filtered:
         """Predict, and apply it to the frames."""
@@ -180,24 +191,33 @@ class Pathfold(nn.Module):
             predicted = predicted._replace(logits=[exact(part) for part in predicted.logits])
             factor = demodulator(inputs) if self.network.demodulate else None
             image, cleaned = reconstruct(predicted, inputs["radiance"], factor)
-            return Filtered(image, predicted.logits, paths, None if self.albedo_kernels is None else cleaned)
+            return Filtered(image, predicted.logits, paths, cleaned if self.cleans else None)
 
 
 def reconstruct(predicted: Prediction, radiance: Tensor, factor: Tensor | None) -> tuple[Tensor, Tensor | None]:
     """What was predicted, applied to radiance B x 3 x H x W, and what it was multiplied by.
 
-    It is divided by `factor` while it is filtered or, with `cleaning`, by what its own kernels make of that: where a
+    It is divided by `factor` while it is filtered or, with `cleaning`, by what its own pyramid makes of that: where a
     mirror's share of the samples carries another albedo, dividing by the noisy one brings its noise in.
     """
-    fine, half = torch.split(predicted.logits[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
-    trust, finest = functional.pixel_shuffle(predicted.trust, 2), functional.pixel_shuffle(fine, 2)
-    levels = [finest, half, *predicted.logits[1:]]
+    trust, levels = functional.pixel_shuffle(predicted.trust, 2), by_level(predicted.logits)
     if factor is None:
         return gather_pyramid(trust, levels, radiance), None
-    if predicted.cleaning is not None:
-        valid = torch.isfinite(radiance).all(1, keepdim=True)
-        factor = gather_finest(functional.pixel_shuffle(predicted.cleaning, 2), factor, valid)
+    factor = clean_factor(predicted, radiance, factor)
     return gather_pyramid(trust, levels, radiance / factor) * factor, factor
+
+
+def clean_factor(predicted: Prediction, radiance: Tensor, factor: Tensor) -> Tensor:
+    """What radiance is divided and multiplied by, B x 3 x H x W: pixels whose radiance is not finite take no part."""
+    if not predicted.cleaning:
+        return factor
+    return gather_factor(by_level(predicted.cleaning), factor, torch.isfinite(radiance).all(1, keepdim=True))
+
+
+def by_level(maps: list[Tensor]) -> list[Tensor]:
+    """A Prediction's logits or cleaning, from 1/2 on, as a pyramid's levels: B x 30 x H/2^l x W/2^l from l = 0 on."""
+    fine, half = torch.split(maps[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
+    return [functional.pixel_shuffle(fine, 2), half, *maps[1:]]
 
 
 def demodulator(inputs: dict[str, Tensor]) -> Tensor:
@@ -271,7 +291,7 @@ def overlap(network: Pyramid) -> int:
     radius = [0]
     for level, count in enumerate(network.convolutions):  # the U-Net's level 0 is the pyramid's level 1
         radius.append(radius[-1] + count * 2 ** (level + 1))
-    trust = radius[1] + 1  # it is used for both pixels of a cell
+    near = radius[1] + 1  # trust's: it is used for both pixels of a cell
     logits = {LEVELS - 1: radius[-1]}
     here = radius[-1]
     for level in reversed(range(1, LEVELS - 1)):
@@ -280,9 +300,10 @@ def overlap(network: Pyramid) -> int:
     logits[0] = here + 1
     # the gather reads level l's logits at the cells that upsampling reaches from the pixel
     reach = [2 ** (level + 1) - 2 for level in range(LEVELS)]
-    taps = 2 * ALIGNMENT + reach[-1]  # and radiance and trust two of the coarsest cells further
-    trust += 2 if network.clean else 0  # a tap's radiance is divided by what 5x5 kernels make of its albedo
-    most = max(taps + trust, *(logits[level] + reach[level] for level in range(LEVELS)))
+    taps = [2 * 2**level + reach[level] for level in range(LEVELS)]  # two cells further, of a pyramid of so many levels
+    if network.demodulate and network.clean:  # a tap's radiance is divided by what another pyramid makes of its albedo
+        near = max(near, taps[2], *(radius[level] + reach[level] for level in (1, 2)))
+    most = max(taps[-1] + near, *(logits[level] + reach[level] for level in range(LEVELS)))
     return -(-most // ALIGNMENT) * ALIGNMENT
 
 
@@ -293,7 +314,7 @@ def macs_per_pixel(network: Pyramid, spp: int) -> float:
     for name, module in model.named_modules():
         if isinstance(module, nn.Conv2d):
             parts = name.split(".")
-            level = int(parts[1]) + 1 if parts[0] in ("down", "up", "heads") else 1
+            level = int(parts[1]) + 1 if parts[0] in ("down", "up", "heads", "albedo_heads") else 1
             level = int(parts[1]) + 2 if parts[0] == "project" else level
             total += module.weight.numel() * (seen if parts[0] == "sample" else 0.25**level)
     return total

@@ -70,15 +70,17 @@ class NetworkGraph(nn.Module):
         present = pathfold.presence(inputs)[:, :, None, None].expand(-1, -1, *moments.shape[-2:])
         entrance = functional.conv2d(features, self.pixels, self.bias, stride=2, padding=2)
         entrance = entrance + functional.conv2d(torch.cat([moments, present], 1), self.moments, padding=1)
-        trust, logits, cleaning = self.model.predict(entrance)
-        return trust, *logits, *([] if cleaning is None else [cleaning])
+        return tuple(self.model.predict(entrance).flat())
 
     def output_shapes(self) -> dict[str, list[int | str]]:
         return self.model.output_shapes()
 
 
 def trained_weights(embedding: dict[str, Tensor], network: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The weights of a Pathfold, scales folded, from the parameters of its EmbeddingGraph and NetworkGraph."""
+    """The weights of a Pathfold by name, scales folded, from the parameters of its EmbeddingGraph and NetworkGraph.
+
+    Raises KeyError where one of those that were rearranged is missing.
+    """
     weights = {name.removeprefix("model."): value for name, value in network.items() if name.startswith("model.")}
     blocks = network["pixels"].unflatten(2, (3, 2)).unflatten(4, (3, 2))  # O, C, and of y and of x: kernel, block
     pixels = blocks.permute(0, 1, 3, 5, 2, 4).flatten(1, 3)

@@ -72,8 +72,22 @@ def gather_pyramid(trust: Tensor, levels: list[Tensor], radiance: Tensor) -> Ten
     O_l = (1 - a_l) F_l + a_l * (weighted mean of the 2 x 2 nearest cells of O_l+1), a = sigmoid(logit).
     A side without a valid tap leaves the result to the other one; without any, the result is 0.
     """
-    height, width = radiance.shape[-2:]
-    sources = [trusted(trust, radiance, torch.isfinite(radiance).all(1, keepdim=True))]
+    valid = torch.isfinite(radiance).all(1, keepdim=True)
+    return gather_levels(levels, trusted(trust, radiance, valid), radiance.shape[-2:])[0]
+
+
+def gather_factor(levels: list[Tensor], values: Tensor, valid: Tensor) -> Tensor:
+    """gather_pyramid without trust, of finite `values` B x C x H x W; where no tap is valid, the value itself.
+
+    `levels` as of gather_pyramid, of any number; `valid` B x 1 x H x W.
+    """
+    result, known = gather_levels(levels, trusted(torch.zeros_like(levels[0][:, :1]), values, valid), values.shape[-2:])
+    return torch.where(known > 0.0, result, values)
+
+
+def gather_levels(levels: list[Tensor], source: Tensor, size: torch.Size) -> tuple[Tensor, Tensor]:
+    """O_0 of gather_pyramid from N_0 and W_0, B x (C + 1) x H' x W', cut to `size` H, W; and 1 where it is known."""
+    sources = [source]
     for _ in levels[1:]:
         sources.append(functional.avg_pool2d(sources[-1], 2))
     result, known = normalised(weigh_taps(bounded_exp(levels[-1]), sources[-1], KERNEL_TAPS, 2))
@@ -85,18 +99,8 @@ def gather_pyramid(trust: Tensor, levels: list[Tensor], radiance: Tensor) -> Ten
         # the odds a / (1 - a): in 1 - a itself a small share would lose most of its digits
         odds = torch.exp(torch.clamp(blend, -LOGIT_LIMIT, LOGIT_LIMIT)) * coarse_known
         result, known = normalised(torch.cat([own_known * own + odds * coarse, own_known + odds], 1))
-    return result[:, :, :height, :width]
-
-
-def gather_finest(logits: Tensor, values: Tensor, valid: Tensor) -> Tensor:
-    """F_0 of gather_pyramid without trust: B x C x H x W; where no tap is valid, the value itself.
-
-    logits B x 25 x H' x W' as of its finest level, values finite, `valid` B x 1 x H x W.
-    """
-    height, width = values.shape[-2:]
-    source = trusted(torch.zeros_like(logits[:, :1]), values, valid)
-    local, known = normalised(weigh_taps(bounded_exp(logits), source, KERNEL_TAPS, 2))
-    return torch.where(known[:, :, :height, :width] > 0.0, local[:, :, :height, :width], values)
+    height, width = size
+    return result[:, :, :height, :width], known[:, :, :height, :width]
 
 
 def trusted(trust: Tensor, values: Tensor, valid: Tensor) -> Tensor:
