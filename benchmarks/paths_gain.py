@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pathfold import metrics
-from pathfold.channels.samples import ALL_SAMPLES
 from pathfold.images import replacing
+from pathfold.models import ALL_SAMPLES
 from pathfold.report import candidates, peers, subjects
 from pathfold.report.reference import Reference
 from pathfold.report.results import geometric

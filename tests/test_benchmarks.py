@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pathfold.channels.samples import ALL_SAMPLES
+from pathfold.models import ALL_SAMPLES
 from pathfold.report.reference import Reference
 from pathfold_training.config import Data, Optimiser, load_preset
 from pathfold_training.data import ValidationViews, View

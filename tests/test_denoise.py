@@ -308,3 +308,16 @@ def test_a_repeated_call_loads_nothing(tiny: Path) -> None:
     start = time.process_time()
     pathfold.denoise(picture(), model="single-3")
     assert time.process_time() - start < 0.1
+
+
+def test_denoise_loads_no_more_than_it_needs() -> None:
+    """What a renderer's plug-in pays for: no image files, no tracer, no training."""
+    script = """
+import sys
+import numpy as np
+import pathfold
+pathfold.denoise(np.ones((16, 16, 3), np.float32), model="kpcn-vanilla")
+print(sorted({"torch", "mitsuba", "lightning", "OpenImageIO"} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from pathfold.channels.samples import ALL_SAMPLES
+from pathfold.models import ALL_SAMPLES
 from pathfold_training.config import Config, Data, Loss, Optimiser, Pyramid, load_preset
 from pathfold_training.data import Crops, Stored
 from pathfold_training.fit import fit, warm_start

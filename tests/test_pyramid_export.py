@@ -11,10 +11,10 @@ import onnx
 import onnxruntime
 import pytest
 import torch
-from pathfold.channels.samples import ALL_SAMPLES
 from pathfold.check import check_model
 from pathfold.check.measure import drift, relative_error, tolerance
 from pathfold.denoising import Denoiser
+from pathfold.models import ALL_SAMPLES
 from pathfold_training import needs, quantise
 from pathfold_training.config import Config, Data, Optimiser, Pyramid
 from pathfold_training.data import Batch, Stored, ValidationViews

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pathfold.channels.samples import ALL_SAMPLES
+from pathfold.models import ALL_SAMPLES
 from pathfold_training import cli
 from pathfold_training.config import Config, Data, Loss, Network, Optimiser
 from pathfold_training.data import Crops, Stored, augment, frame_inputs, reduce_samples

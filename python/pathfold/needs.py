@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold.channels import samples as sample_names
+from pathfold.models import ALL_SAMPLES
 from pathfold.rendering import Camera
 
 Block = dict[str, NDArray[Any]]
@@ -47,7 +48,7 @@ def trace(
     rr_depth: int | None,
     reads: Collection[str],
     bar: Callable[[float], None],
-    recorded: int = sample_names.ALL_SAMPLES,
+    recorded: int = ALL_SAMPLES,
 ) -> LeanFrame:
     """`Camera.trace` of what a model reads, without what the scene and the frame do not need."""
     unneeded = of_scene(camera.scene, spp, reads)

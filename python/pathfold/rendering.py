@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pathfold.channels import BUFFERS
 from pathfold.channels import samples as sample_names
 from pathfold.images import MAX_CHANNELS, NewPart, OutputError, write_parts
+from pathfold.models import ALL_SAMPLES
 
 BAND_SAMPLES = 1 << 22  # traced in one call: some 1.5 GB while Mitsuba is at it
 _BEAUTY = ("color", "alpha")
@@ -70,7 +71,7 @@ class Camera:
         rr_depth: int | None,
         wanted: set[str],
         bar: Callable[[float], None],
-        recorded: int = sample_names.ALL_SAMPLES,
+        recorded: int = ALL_SAMPLES,
     ) -> tuple[Block, Block, int]:
         """Per-pixel buffers and the block of samples, those that are wanted, and the number of samples dropped.
 

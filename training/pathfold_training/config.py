@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import yaml
-from pathfold.channels.samples import ALL_SAMPLES
+from pathfold.models import ALL_SAMPLES
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from pathfold.images import ImageError, ImageFile, NewPart
 
 VERTICES = 6
-ALL_SAMPLES = 1 << 30  # more than any pixel has
 PART = "samples"
 
 

@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from pathfold.channels.samples import ALL_SAMPLES
+from pathfold.models import ALL_SAMPLES
 
 from . import descriptor, materials
 from .film import Film, opaque
