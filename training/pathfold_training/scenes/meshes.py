@@ -45,12 +45,32 @@ def to_shape(surface: Surface, bsdf: mi.BSDF, placement: Array, light: dict[str,
     count = len(surface.vertices), len(surface.faces)
     mesh = mi.Mesh("mesh", *count, has_vertex_normals=surface.smooth, has_vertex_texcoords=True, props=props)
     params = mi.traverse(mesh)
-    world = surface.vertices @ placement[:3, :3].T + placement[:3, 3]
-    params["vertex_positions"] = world.astype(np.float32).ravel()
+    world = (surface.vertices @ placement[:3, :3].T + placement[:3, 3]).astype(np.float32)
+    params["vertex_positions"] = world.ravel()
     params["faces"] = surface.faces.astype(np.uint32).ravel()
     params["vertex_texcoords"] = surface.uv.astype(np.float32).ravel()
     params.update()
+    if surface.smooth:  # Mitsuba adds its own up in the order in which threads come, so they differ by rounding
+        params["vertex_normals"] = normals(world.astype(np.float64), surface.faces).astype(np.float32).ravel()
+        params.update()
     return mesh
+
+
+def normals(vertices: Array, faces: NDArray[np.int64]) -> Array:
+    """Unit normals [V, 3]: the mean over a vertex's faces, each by its angle there; (1, 0, 0) where none has an area.
+
+    The weights are Mitsuba's own (Thurmer and Wuthrich, Computing Vertex Normals from Polygonal Facets, 1998).
+    """
+    corners = vertices[faces]
+    ahead, behind = np.roll(corners, -1, 1) - corners, np.roll(corners, 1, 1) - corners
+    cross = np.cross(ahead[:, 0], behind[:, 0])
+    angle = np.arctan2(np.linalg.norm(np.cross(ahead, behind), axis=-1), (ahead * behind).sum(-1))
+    size = np.linalg.norm(cross, axis=-1, keepdims=True)
+    facing = np.divide(cross, size, out=np.zeros_like(cross), where=size > 0)
+    total = np.zeros_like(vertices)
+    np.add.at(total, faces, angle[..., None] * facing[:, None])
+    length = np.linalg.norm(total, axis=-1, keepdims=True)
+    return np.divide(total, length, out=np.broadcast_to([1.0, 0, 0], total.shape).copy(), where=length > 0)
 
 
 def grid(shape: Callable[[Array, Array], tuple[Array, Array, Array]], nu: int, nv: int, smooth: bool = True) -> Surface:

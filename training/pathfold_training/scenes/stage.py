@@ -88,7 +88,7 @@ class Stage:
         self.entries["sensor"] = sensor | ({"aperture_radius": blur, "focus_distance": 1.0} if blur else {})
 
     def load(self) -> mi.Scene:
-        return mi.load_dict(self.entries)
+        return mi.load_dict(self.entries, optimize=False)  # merged meshes come in another order at every load
 
 
 def emission(radiance: float, tint: Any = (1, 1, 1)) -> dict[str, Any]:
