@@ -62,10 +62,27 @@ def test_equal_seeds_give_equal_views(task: view.Task, rendered: tuple[store.Lin
 def test_samples_come_again_from_the_description(task: view.Task, rendered: tuple[store.Line, store.Arrays]) -> None:
     line, first = rendered
     described = json.loads(json.dumps(line))
-    again, tensors = view.render_view(replace(task, known=described, seed=line["seed"]))
-    assert {name for name in tensors if not name.startswith("samples.")} == set()
-    assert all(np.array_equal(tensors[name], first[name]) for name in tensors)
-    assert again["crops"] == line["crops"]
+    for kind in store.KINDS:
+        again, tensors = view.render_view(replace(task, known=described, kinds=(kind,)))
+        assert {name.startswith("samples.") for name in tensors} == {kind == store.SAMPLES}
+        assert all(np.array_equal(tensors[name], first[name]) for name in tensors)
+        assert again["crops"] == line["crops"]
+
+
+def test_a_larger_budget_gives_new_references_and_leaves_samples(finished: Path, tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    shutil.copytree(finished, out)
+    before = {line["id"]: line for line in store.read_index(out)}
+    again = {"library": LIBRARY, "views_per_scene": 2, "held_out": 0, **SMALL}
+    assert render.render(out, **again | {"budget": 0.001}) == {"done": 2, "kept": 0, "failed": 0}
+    assert render.render(out, **again | {"budget": 0.001}) == {"done": 0, "kept": 2, "failed": 0}
+    assert render.render(out)["kept"] == 2
+    for line in store.read_index(out):
+        old = before[line["id"]]
+        assert (old["budget"], line["budget"]) == (0.0, 0.001)
+        assert line["files"][store.SAMPLES] == old["files"][store.SAMPLES]
+        assert (line["spp"], line["crops"]) == (old["spp"], old["crops"])
+        assert store.present(out, line, store.REFERENCES)
 
 
 def test_samples_are_not_rendered_to_a_reference_of_another_generator(task: view.Task) -> None:

@@ -34,7 +34,12 @@ def render(
     procedural: Annotated[int, typer.Option(min=0, help="number of procedural views")] = 0,
     library: Annotated[Path | None, typer.Option(help="folder of Mitsuba scenes")] = None,
     cameras: Annotated[int, typer.Option(min=1, help="views of each library scene")] = 4,
-    budget: Annotated[float, typer.Option(min=0, help="core-seconds of reference rendering per view")] = BUDGET,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            min=0, help=f"core-seconds for a view's reference, {BUDGET} for new views; views that had less get new ones"
+        ),
+    ] = None,
     size: Annotated[int, typer.Option(min=16, help="width and height of a view in pixels")] = 128,
     spp: Annotated[
         int | None,
@@ -53,7 +58,7 @@ def render(
     """
     from .render import render as run
 
-    if not math.isfinite(budget):
+    if budget is not None and not math.isfinite(budget):
         raise ValueError(f"--budget {budget}: give core-seconds per view, such as {BUDGET}")
     if out.is_file():
         raise ValueError(f"--out {out} is a file; give a folder")

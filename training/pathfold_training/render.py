@@ -27,7 +27,7 @@ def render(
     out: Path,
     procedural: int = 0,
     library: Path | None = None,
-    budget: float = BUDGET,
+    budget: float | None = None,
     seed: int = 0,
     size: int = 128,
     spp: int | None = None,
@@ -43,9 +43,10 @@ def render(
     """Renders generated scenes and views of library scenes into the data set `out`.
 
     `procedural` counts generated scenes, one view each; every scene in the folder `library` gives `views_per_scene`.
-    `budget` is core-seconds per view for the reference. `spp` samples are stored of `crops` windows of `crop` pixels.
-    Views that exist are kept, so the same command continues an interrupted run; those of `out` whose samples are
-    missing, or of another number than the given `spp`, get new ones, with their references and crops as they are.
+    `budget` is core-seconds per view for the reference, BUDGET for new views if it is None. `spp` samples are stored of
+    `crops` windows of `crop` pixels. Views that exist are kept, so the same command continues an interrupted run; those
+    of `out` whose samples are missing, or of another number than the given `spp`, get new ones, and those whose
+    references had less than the given `budget` get new references; crops and whatever else there is stay.
     Order and content depend on `seed` alone, the reference's sample count on the machine's speed too. A share
     `held_out` of the scenes is marked "val". `cluster` is the address of a Dask scheduler whose workers render instead
     of `workers` processes. Returns how many views are "done", "kept" and "failed"; reasons are in out/render.log.
@@ -54,9 +55,10 @@ def render(
     out.mkdir(parents=True, exist_ok=True)
     with _log_file(out / "render.log"):
         lines = {line["id"]: line for line in store.recover(out)}
-        common = {"seed": seed, "size": size, "spp": spp or SPP, "budget": budget, "crop": crop, "crops": crops}
+        spend = BUDGET if budget is None else budget
+        common = {"seed": seed, "size": size, "spp": spp or SPP, "budget": spend, "crop": crop, "crops": crops}
         wanted = plan(procedural, library, views_per_scene, held_out, variant=variant, **common)
-        tasks = _missing(out, wanted, lines, spp, variant)
+        tasks = _missing(out, wanted, lines, spp, budget, variant)
         total = len({task.id for task in wanted} | set(lines))
         counts = {"done": 0, "kept": total - len(tasks), "failed": 0}
         results = farm.cluster(tasks, cluster) if cluster else farm.local(tasks, workers)
@@ -70,17 +72,26 @@ def render(
     return counts
 
 
-def _missing(out: Path, wanted: list[Task], lines: dict[str, store.Line], spp: int | None, variant: str) -> list[Task]:
-    """Views to render: those that are new, and the samples of those that lack them (at `spp`, if it is given)."""
+def _missing(
+    out: Path, wanted: list[Task], lines: dict[str, store.Line], spp: int | None, budget: float | None, variant: str
+) -> list[Task]:
+    """Views to render: those that are new, and of the others what they lack (at `spp` and `budget`, where given)."""
     paths = {task.id: task.path for task in wanted}
     tasks = [task for task in wanted if task.id not in lines]
     for line in lines.values():
-        if (spp or line["spp"]) != line["spp"] or not store.present(out, line, store.SAMPLES):
+        had = line.get("budget", BUDGET)  # data sets did not say it at first
+        lacks = {
+            store.REFERENCES: budget is not None and budget > had,
+            store.SAMPLES: (spp or line["spp"]) != line["spp"] or not store.present(out, line, store.SAMPLES),
+        }
+        if any(lacks.values()):
             path = str(paths.get(line["id"], line["path"]))
             if path and not Path(path).exists():
                 raise FileNotFoundError(f"{path} is gone; say with --library where the scene of {line['id']} is now")
             facts = {name: line[name] for name in DESCRIPTION} | {"size": line["width"], "spp": spp or line["spp"]}
-            tasks.append(Task(**facts, path=path, budget=0, variant=variant, known=line))
+            kinds = tuple(kind for kind, wanting in lacks.items() if wanting)
+            spend = had if budget is None else budget
+            tasks.append(Task(**facts, path=path, budget=spend, variant=variant, known=line, kinds=kinds))
     return tasks
 
 
@@ -159,8 +170,10 @@ class _Report:
         """One more is finished; `line` is None if it was not taken in."""
         self.done += 1
         if line:
-            reference = 0 if task.known else line["reference_spp"] * line["width"] * line["height"]
-            self.paths += reference + line["spp"] * len(line["crops"]) * line["crop"] ** 2
+            if store.REFERENCES in task.kinds:
+                self.paths += line["reference_spp"] * line["width"] * line["height"]
+            if store.SAMPLES in task.kinds:
+                self.paths += line["spp"] * len(line["crops"]) * line["crop"] ** 2
         seconds = time.monotonic() - self.start
         left = seconds / (self.done - self.kept) * (self.total - self.done)
         speed = f"{self.paths / seconds / 1e6:.2f} Mpaths/s"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .scenes.faults import RejectedError
-from .store import Arrays, Line
+from .store import KINDS, REFERENCES, SAMPLES, Arrays, Line
 
 LIBRARY_DEPTH = 6  # scenes of a library state depths up to 65; one value keeps the data alike, and cost grows with it
 LANES = 1 << 22  # samples traced in one call
@@ -25,7 +25,7 @@ BUSY = threading.Lock()  # Mitsuba's variant and its threads belong to the proce
 class Task:
     """One view to render: a procedural seed, or camera `number` of a scene file.
 
-    `known` is the view's index line where the reference exists and only samples are wanted.
+    `known` is the view's index line where it exists and only its `kinds` of files are wanted.
     """
 
     id: str
@@ -44,6 +44,7 @@ class Task:
     path: str = ""
     variant: str = "llvm_ad_rgb"
     known: Line | None = None
+    kinds: tuple[str, ...] = KINDS
 
 
 DESCRIPTION = ("id", "kind", "scene", "split", "number", "seed", "licence", "origin")  # of a task, kept in its line
@@ -56,7 +57,7 @@ def entropy(seed: int, *words: object) -> NDArray[np.uint32]:
 
 
 def render_view(task: Task) -> tuple[Line, Arrays]:
-    """The view's index line and its tensors as the store names them: references (unless known), samples.
+    """The view's index line and its tensors as the store names them: those of the task's kinds.
 
     Everything but the reference's sample count depends on the task alone. Raises RejectedError where no view is worth
     its cost, ImportError where the variant is not there.
@@ -84,16 +85,20 @@ def _render(task: Task, scene: Any, line: Line) -> tuple[Line, Arrays]:
     from .scenes.faults import picture_fault
 
     tensors: Arrays = {}
-    if not task.known:
+    if REFERENCES in task.kinds:
         seeds = [int(s) for s in entropy(task.seed, task.id, "reference")[:2]]
         tensors, facts = render_reference(scene, task.budget, line["max_depth"], seeds)
         if fault := picture_fault(np.moveaxis(tensors["reference.color"], 0, -1)):
             raise RejectedError(f"its picture is {fault}")
+        line = line | facts | {"budget": task.budget}
+    if not task.known:
         crop = min(task.crop, task.size)
         corners = choose_crops(tensors["importance"], crop, task.crops, entropy(task.seed, task.id, "crops"))
-        line = line | facts | {"crop": crop, "crops": corners}
-    tensors |= _samples(scene, task, line)
-    return line | {"spp": task.spp}, tensors
+        line = line | {"crop": crop, "crops": corners}
+    if SAMPLES in task.kinds:
+        tensors |= _samples(scene, task, line)
+        line = line | {"spp": task.spp}
+    return line, tensors
 
 
 def choose_crops(weight: NDArray[Any], side: int, count: int, seed: NDArray[np.uint32]) -> list[list[int]]:
