@@ -58,7 +58,7 @@ def fitted(free: list[Tensor], apply: Operator, color: Tensor, factor: Tensor, r
     for _ in range(steps):
         optimiser.zero_grad()
         clean = apply((color / factor)[:half]) * factor[:half]
-        robust_relative(clean, reference, scale).backward()
+        robust_relative(clean, reference, scale).mean().backward()
         optimiser.step()
     with torch.no_grad():
         clean = apply((color / factor)[half:]) * factor[half:]

@@ -10,6 +10,7 @@ from pathfold_training.features import OPTIONAL
 from pathfold_training.losses import (
     albedo_error,
     energy_error,
+    geometric,
     manifold_loss,
     robust_relative,
     tone_map,
@@ -208,17 +209,26 @@ def test_robust_relative() -> None:
     assert float(robust_relative(output, reference, scale)) == pytest.approx((0.25 + 4 + 8 * np.log(1.5)) / 2)
 
 
+def test_the_geometric_loss_pulls_at_every_image_in_proportion_to_its_error() -> None:
+    errors = torch.tensor([0.02, 0.2, 2.0], requires_grad=True)
+    geometric(errors).backward()
+    assert np.allclose(errors.detach() * errors.grad, 0.01, rtol=0.06)  # a third of 0.03 each, less near the floor
+    perfect = torch.zeros(3, requires_grad=True)
+    geometric(perfect).backward()
+    assert torch.isfinite(perfect.grad).all()
+
+
 def test_the_unbiased_loss_pulls_towards_the_mean_of_noisy_references() -> None:
     reference = torch.full((400, 1, 1, 1), 0.1)
     reference[:20] = 18.1  # one hit in twenty: mean 1, median 0.1
     slope = {}
     for mean in (0.9, 1.0, 1.1):
         output = torch.full_like(reference, mean, requires_grad=True)
-        unbiased_relative(output, reference).backward()
+        unbiased_relative(output, reference).mean().backward()
         slope[mean] = float(output.grad.sum())
     assert slope[0.9] < -1e-3
     assert slope[1.0] == pytest.approx(0, abs=1e-5)
     assert slope[1.1] > 1e-3
     output = torch.full_like(reference, 1.0, requires_grad=True)
-    robust_relative(output, reference, torch.ones_like(reference)).backward()
+    robust_relative(output, reference, torch.ones_like(reference)).mean().backward()
     assert float(output.grad.sum()) > 0.1  # the robust one would darken it

@@ -59,7 +59,8 @@ def family(network: object) -> str:
 class Loss(Strict):
     """Weights of the terms, see losses.py."""
 
-    image: Literal["robust", "unbiased"] = "robust"  # the second for references of few samples
+    # unbiased is for references of few samples; geometric is robust, each image's error in proportion to itself
+    image: Literal["robust", "unbiased", "geometric"] = "robust"
     energy: float = 0.0  # error of block means, against darkening
     albedo: float = 0.0  # error of the cleaned albedo, for networks that clean it
     branch: float = 0.5  # per-branch terms beside the recombined image

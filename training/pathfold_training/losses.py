@@ -9,6 +9,8 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 RELATIVE_EPSILON = 0.01  # RelL2's, in exposed units
+GEOMETRIC_FLOOR = 1e-3  # an image's error below which it counts less: references are no better
+GEOMETRIC_WEIGHT = 0.03  # about an image's error, so that the terms beside it weigh as much as beside a plain mean
 ENERGY_BLOCK = 16  # pixels
 ENERGY_EPSILON = 0.03  # exposed radiance below which a block's error counts less
 GAMMA = 1 / 2.2
@@ -28,17 +30,27 @@ def error_scale(reference: Tensor) -> Tensor:
 
 
 def robust_relative(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
-    """Mean over a robust function of the relative error d: d^2 up to |d| = 2, then 4 + 8 ln(|d| / 2). Exposed radiance.
+    """Each image's mean [B] of a robust function of the relative error d: d^2 up to |d| = 2, then 4 + 8 ln(|d| / 2).
+    Exposed radiance B x 3 x H x W.
 
     The tail is a logarithm: with a linear one, light leaking from emitters (|d| in the hundreds) outweighs all else and
     drives a branch to the identity before it has learned to tell pixels apart.
     """
     d = ((output - reference) / scale).abs()
-    return torch.where(d < 2.0, d.square(), 4.0 + 8.0 * torch.log(torch.clamp(d, min=2.0) / 2.0)).mean()
+    return torch.where(d < 2.0, d.square(), 4.0 + 8.0 * torch.log(torch.clamp(d, min=2.0) / 2.0)).mean((1, 2, 3))
+
+
+def geometric(errors: Tensor) -> Tensor:
+    """The errors [B] of images as one number, which falls with their geometric mean.
+
+    By their plain mean the few images with the largest errors, of few samples, are all that is learned from; what is
+    reported is the geometric mean over scenes.
+    """
+    return GEOMETRIC_WEIGHT * torch.log(errors / GEOMETRIC_FLOOR + 1.0).mean()
 
 
 def energy_error(output: Tensor, reference: Tensor) -> Tensor:
-    """robust_relative of means over blocks of 16 x 16 pixels (what is left at the edges apart), exposed radiance.
+    """robust_relative [B] of means over blocks of 16 x 16 pixels (what is left at the edges apart), exposed radiance.
 
     Pixel by pixel, a network that is unsure of a bright value, or sees it seldom, does best by staying below it, and a
     robust loss forgives what is left out altogether. In a block's mean these errors do not cancel, and noise does.
@@ -59,12 +71,13 @@ def albedo_error(cleaned: Tensor, target: Tensor, present: Tensor) -> Tensor:
 
 
 def unbiased_relative(output: Tensor, reference: Tensor) -> Tensor:
-    """Mean of ((x - r) / sqrt(x^2 + eps))^2 with the x below held fixed, exposed radiance (Noise2Noise's HDR loss).
+    """Each image's mean [B] of ((x - r) / sqrt(x^2 + eps))^2 with the x below held fixed (Noise2Noise's HDR loss).
+    Exposed radiance B x 3 x H x W.
 
     Its minimum is the true mean however noisy the reference r is, which no other loss here has; the price is
     heavy-tailed gradients, so clip their norm.
     """
-    return ((output - reference).square() / (output.detach().square() + RELATIVE_EPSILON)).mean()
+    return ((output - reference).square() / (output.detach().square() + RELATIVE_EPSILON)).mean((1, 2, 3))
 
 
 def logit_excess(logits: Tensor) -> Tensor:

@@ -19,6 +19,7 @@ from .losses import (
     albedo_error,
     energy_error,
     error_scale,
+    geometric,
     logit_excess,
     manifold_loss,
     robust_relative,
@@ -103,7 +104,8 @@ class Denoising(lightning.LightningModule):
                 filtered = gather(logits, target.radiance, model.network.kernel_size, lattice, offset, trust)
                 filtered = filtered * on_lattice(target.remodulate, lattice, offset)
                 excess.append(logit_excess(logits) if trust is None else logit_excess(logits) + logit_excess(trust))
-                terms.append(self.image_error(filtered, on_lattice(target.reference, lattice, offset), scale))
+                wanted = on_lattice(target.reference, lattice, offset)
+                terms.append(self.over_images(self.image_error(filtered, wanted, scale)))
                 image = image + filtered
                 if predicted.paths is not None and self.config.loss.manifold > 0.0:
                     pairs = self.config.loss.manifold_pairs
@@ -117,7 +119,7 @@ class Denoising(lightning.LightningModule):
                             **self.sharing(),
                         )
                     )
-        error = self.image_error(image, on_lattice(reference, lattice, offset), scale)
+        error = self.over_images(self.image_error(image, on_lattice(reference, lattice, offset), scale))
         loss = error + self.config.loss.branch * sum(terms) + self.config.loss.logits * sum(excess)
         if manifold:
             loss = loss + self.config.loss.manifold * sum(manifold)
@@ -132,11 +134,13 @@ class Denoising(lightning.LightningModule):
         exposed = image * exposure.reshape(-1, 1, 1, 1)
         target = batch.reference.get("cleaned", batch.reference["color"]) * exposure.reshape(-1, 1, 1, 1)
         error = self.image_error(exposed, target, error_scale(target))
-        loss = error + self.config.loss.logits * sum(logit_excess(level) for level in logits)
+        total = error
         if self.config.loss.energy > 0.0:
             energy = energy_error(exposed, reference)  # not against what is cleaned: OIDN darkens by 1 %
-            loss = loss + self.config.loss.energy * energy
-            self.log("energy", energy, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
+            total = total + self.config.loss.energy * energy
+            self.log("energy", energy.mean(), prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
+        loss = self.over_images(total)
+        loss = loss + self.config.loss.logits * sum(logit_excess(level) for level in logits)
         if self.config.loss.albedo > 0.0 and cleaned is not None:
             albedo = albedo_error(cleaned - ALBEDO_EPSILON, batch.reference["albedo"], inputs["albedo.present"])
             loss = loss + self.config.loss.albedo * albedo
@@ -146,13 +150,18 @@ class Denoising(lightning.LightningModule):
             manifold = manifold_loss(paths, tone_map(target), batch.counts, pairs, self.generator, **self.sharing())
             loss = loss + self.config.loss.manifold * manifold
             self.log("manifold", manifold, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
-        self.log("image", error, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
+        self.log("image", error.mean(), prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         return loss
 
     def image_error(self, output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
+        """Each image's [B]."""
         if self.config.loss.image == "unbiased":
             return unbiased_relative(output, reference)
         return robust_relative(output, reference, scale)
+
+    def over_images(self, errors: Tensor) -> Tensor:
+        """Errors [B] as one number."""
+        return geometric(errors) if self.config.loss.image == "geometric" else errors.mean()
 
     def sharing(self) -> dict[str, Any]:
         """Which of how many processes this is, and how to fetch what the others hold: manifold_loss's arguments.
