@@ -59,7 +59,7 @@ def family(network: object) -> str:
 class Loss(Strict):
     """Weights of the terms, see losses.py."""
 
-    # unbiased is for references of few samples; geometric is robust, each image's error in proportion to itself
+    # unbiased is for references of few samples; geometric is robust, each image's relative change alike
     image: Literal["robust", "unbiased", "geometric"] = "robust"
     energy: float = 0.0  # error of block means, against darkening
     albedo: float = 0.0  # error of the cleaned albedo, for networks that clean it
