@@ -119,12 +119,12 @@ class Denoising(lightning.LightningModule):
                             **self.sharing(),
                         )
                     )
-        error = self.over_images(self.image_error(image, on_lattice(reference, lattice, offset), scale))
-        loss = error + self.config.loss.branch * sum(terms) + self.config.loss.logits * sum(excess)
+        error = self.image_error(image, on_lattice(reference, lattice, offset), scale)
+        loss = self.over_images(error) + self.config.loss.branch * sum(terms) + self.config.loss.logits * sum(excess)
         if manifold:
             loss = loss + self.config.loss.manifold * sum(manifold)
             self.log("manifold", sum(manifold), prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
-        self.log("image", error, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
+        self.log("image", error.mean(), prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
         return loss
 
     def pyramid_loss(self, model: Pathfold, batch: Batch) -> Tensor:
