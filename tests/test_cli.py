@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from exr_files import SIZE, noise, part, write
 from pathfold import metrics
-from pathfold.channels import samples
+from pathfold.channels import ALL_LIGHT, samples
 from pathfold.cli import app, console
 from pathfold.images import ImageFile, NewPart, write_parts
 
@@ -108,6 +108,12 @@ def test_denoise_says_which_parts_of_the_beauty_stay_noisy(run, tmp_path: Path) 
     assert "as noisy as before: diffuse, specular; name radiance layers with --layer" in run(*arguments, "single-3")[1]
     assert "as noisy as before: specular;" in run(*arguments, "single-3", "--layer", "diffuse")[1]
     assert "as noisy" not in run(*arguments, "split-5")[1]
+    whole = tmp_path / "whole.exr"  # its beauty is all diffuse light, which is denoised
+    names = [*RGB, *(f"diffuse.albedo.{c}" for c in RGB)]
+    buffers = NewPart("buffers", names, ["float"] * 6, SIZE, lambda first, last: noise(6)[first:last])
+    write_parts(whole, [buffers], {"pathfold:version": "0", ALL_LIGHT: "diffuse"})
+    said = run(*arguments[:1], whole, *arguments[2:], "single-3")[1]
+    assert "diffuse <- R,G,B" in said and "as noisy" not in said
 
 
 def test_denoise_in_a_precision(run, tmp_path: Path) -> None:

@@ -85,6 +85,28 @@ def test_a_larger_budget_gives_new_references_and_leaves_samples(finished: Path,
         assert store.present(out, line, store.REFERENCES)
 
 
+def test_references_that_are_lost_or_damaged_are_rendered_again(finished: Path, tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    shutil.copytree(finished, out)
+    before = store.read_index(out)
+    gone, cut = (store.file_path(out, store.REFERENCES, line["id"]) for line in before)
+    gone.unlink()
+    cut.write_bytes(cut.read_bytes()[:-1])
+    assert render.render(out) == {"done": 2, "kept": 0, "failed": 0}
+    for line in before:
+        old, new = (store.Store(folder).tensor(line["id"], "reference.color")[:] for folder in (finished, out))
+        assert np.array_equal(old, new)
+    assert render.render(out)["kept"] == 2
+
+
+def test_a_larger_budget_leaves_references_that_are_good(finished: Path) -> None:
+    line = store.read_index(finished)[0]
+    for error, kinds in ((1e-3, [(store.REFERENCES,)]), (1e-4, [])):
+        lines = {line["id"]: line | {"reference_rell2": error}}
+        tasks = render._missing(finished, [], lines, None, 8.0, "llvm_ad_rgb")
+        assert [task.kinds for task in tasks] == kinds
+
+
 def test_samples_are_not_rendered_to_a_reference_of_another_generator(task: view.Task) -> None:
     known = {"kind": "procedural", "generator": 1, "scene_seed": 5, "width": 16, "height": 16, "camera": None}
     with pytest.raises(RejectedError, match="generator 1 made its scene"):

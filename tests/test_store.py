@@ -68,9 +68,9 @@ def test_recovery_drops_cut_and_altered_files_and_takes_up_whole_ones(folder: Pa
     rows = index.read_text().splitlines()
     index.write_text("\n".join([rows[0], rows[1], rows[2][:40]]))  # the last line was being written
     lines = store.recover(folder)
-    assert ids(lines) == ["view-1", "view-2"]
-    assert [set(line["files"]) for line in lines] == [{"references"}, {"references", "samples"}]
-    assert [json.loads(row)["id"] for row in index.read_text().splitlines()] == ["view-1", "view-2"]
+    assert ids(lines) == ["view-0", "view-1", "view-2"]  # the first is rendered again
+    assert [set(line["files"]) for line in lines] == [{"samples"}, {"references"}, {"references", "samples"}]
+    assert ids(store.read_index(folder)) == ids(lines)
     assert not cut.exists()
     assert not path(folder, store.SAMPLES, 1).exists()
     assert store.recover(folder) == lines
@@ -82,6 +82,20 @@ def test_samples_that_the_index_does_not_know_replace_what_it_says(folder: Path)
     store.write(folder, lines[0] | {"spp": 2}, tensors)  # killed before the line was written
     assert list(store.damaged(folder, lines)) == [path(folder, store.SAMPLES, 0)]
     assert [line["id"] for line in store.Store(folder).lines] == ["view-1", "view-2"]
+
+
+def test_an_index_is_made_again_with_the_facts_of_the_newest_files(folder: Path) -> None:
+    lines = store.read_index(folder)
+    better = {k: v for k, v in view_tensors(0).items() if not k.startswith("samples.")}
+    store.write(folder, lines[0] | {"budget": 8.0, "reference_spp": 4096}, better)
+    fewer = {k: v[:, :2] for k, v in view_tensors(1).items() if k.startswith("samples.")}
+    store.write(folder, lines[1] | {"spp": 2}, fewer)
+    (folder / "index.jsonl").unlink()
+    assert store.begun(folder)
+    again = store.recover(folder)
+    assert [line["reference_spp"] for line in again] == [4096, 1024, 1024]
+    assert [line["spp"] for line in again] == [8, 2, 8]
+    assert ids(store.Store(folder).lines) == ["view-0", "view-1", "view-2"]
 
 
 def test_damage_is_found_before_it_is_read(folder: Path) -> None:
@@ -159,6 +173,12 @@ def test_info_checks_every_byte_when_asked(folder: Path) -> None:
     result = CliRunner().invoke(app, ["dataset", "info", str(folder), "--check"])
     assert result.exit_code == 1
     assert dataset.info(folder, check=True)["damaged"] == [str(path(folder, store.REFERENCES, 1))]
+    cut, gone = (path(folder, kind, 0) for kind in (store.SAMPLES, store.REFERENCES))
+    cut.write_bytes(cut.read_bytes()[:-1])
+    gone.unlink()
+    assert set(dataset.info(folder, check=True)["damaged"]) == {
+        *map(str, (cut, gone, path(folder, store.REFERENCES, 1)))
+    }
 
 
 def test_sheet_shows_every_reference(folder: Path, tmp_path: Path) -> None:

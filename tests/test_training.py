@@ -10,10 +10,11 @@ import torch
 from pathfold.models import ALL_SAMPLES
 from pathfold_training import cli
 from pathfold_training.config import Config, Data, Loss, Network, Optimiser
-from pathfold_training.data import Crops, Stored, augment, frame_inputs, reduce_samples
+from pathfold_training.data import Crops, Stored, ValidationViews, augment, frame_inputs, reduce_samples
 from pathfold_training.export import export
 from pathfold_training.fit import checkpoint_weights, fit, start_record
-from training_data import write_data_set
+from pathfold_training.store import append_line, read_index, write
+from training_data import view_tensors, write_data_set
 
 TINY = Config(
     name="tiny",
@@ -109,10 +110,33 @@ def test_a_model_folder_starts_a_run_where_it_stood(data_set: Path, tmp_path: Pa
 
 def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path) -> None:
     fit(with_steps(TINY, 1), data_set, tmp_path / "run", validate_every=1000, threads=1)
-    with pytest.raises(ValueError, match="another preset"):
+    with pytest.raises(ValueError, match=r"of a run of 1 steps.*--start-from"):
         fit(with_steps(TINY, 2), data_set, tmp_path / "run")
+    with pytest.raises(ValueError, match="another preset"):
+        fit(with_steps(TINY, 1).model_copy(update={"data": Data(crop=16)}), data_set, tmp_path / "run")
     with pytest.raises(FileNotFoundError, match="pathfold-train render"):
         fit(TINY, tmp_path / "nothing", tmp_path / "other")
+
+
+def test_a_finished_run_keeps_its_record(data_set: Path, tmp_path: Path) -> None:
+    last = fit(with_steps(TINY, 1), data_set, tmp_path, seed=3, validate_every=1000, threads=1)
+    record = (tmp_path / "record.json").read_text()
+    assert fit(with_steps(TINY, 1), data_set, tmp_path, seed=4, validate_every=1000, threads=1) == last
+    assert (tmp_path / "record.json").read_text() == record
+
+
+def test_views_of_few_samples_and_of_several_sizes_are_trained_on(tmp_path: Path) -> None:
+    folder = write_data_set(tmp_path / "set", 4)
+    for line in read_index(folder):
+        side = 40 if line["id"] == "view-0" else 16
+        tensors = {
+            name: value[..., :side, :side] if not name.startswith("samples.") else value[:, :4, :, :side, :side]
+            for name, value in view_tensors(line["seed"]).items()
+        }
+        append_line(folder, write(folder, line | {"spp": 4, "width": side, "height": side, "crop": side}, tensors))
+    fit(with_steps(TINY, 2), folder, tmp_path / "run", validate_every=1, threads=1)
+    (batch,) = list(ValidationViews(Stored(folder).held_out(), ALL_SAMPLES))
+    assert batch.counts == [4]
 
 
 @pytest.mark.parametrize(

@@ -56,13 +56,14 @@ def render(
 
     Without --procedural and --library it completes the views that are there.
     """
+    from . import store
     from .render import render as run
 
     if budget is not None and not math.isfinite(budget):
         raise ValueError(f"--budget {budget}: give core-seconds per view, such as {BUDGET}")
     if out.is_file():
         raise ValueError(f"--out {out} is a file; give a folder")
-    if not (procedural or library or (out / "index.jsonl").is_file()):
+    if not (procedural or library or store.begun(out)):
         raise ValueError(
             f"{out} holds no views to complete, and none are asked for: give --procedural N or --library DIR"
         )
@@ -81,7 +82,9 @@ def render(
 def dataset_info(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="data set made by 'pathfold-train render'")],
     as_json: Annotated[bool, typer.Option("--json", help="all figures as JSON on standard output")] = False,
-    check: Annotated[bool, typer.Option("--check", help="read every byte; exit with 1 if a file is damaged")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="read every byte; exit with 1 if a file is damaged or a reference gone")
+    ] = False,
 ) -> None:
     """Say what a data set holds."""
     from .dataset import info

@@ -194,12 +194,13 @@ class Crops(IterableDataset):
         low, high = math.log2(self.data.spp_min), math.log2(min(self.data.spp_max, view.samples))
         number = round(2 ** rng.uniform(low, high))
         first = int(rng.integers(view.samples - number + 1))
-        y, x = view.corner(self.data.crop, rng)
-        samples, reference = view.crop(y, x, self.data.crop, first, number, self.paths)
+        size = min(self.data.crop, min(each.side for each in views))  # alike in a batch
+        y, x = view.corner(size, rng)
+        samples, reference = view.crop(y, x, size, first, number, self.paths)
         if self.albedo:
-            reference["albedo"] = view.albedo(y, x, self.data.crop, first, number)
+            reference["albedo"] = view.albedo(y, x, size, first, number)
         if self.data.cleaned:
-            reference["cleaned"] = view.cleaned[:, y : y + self.data.crop, x : x + self.data.crop]
+            reference["cleaned"] = view.cleaned[:, y : y + size, x : x + size]
         augment(samples, reference, rng, self.data.normal_turn)
         inputs = frame_inputs(samples, view.exposure * 2 ** rng.uniform(-1.0, 1.0), view.depth_scale)
         drop_inputs(inputs, rng, self.data)
@@ -207,7 +208,7 @@ class Crops(IterableDataset):
 
 
 class ValidationViews(Dataset):
-    """Whole held-out windows at a fixed number of samples, all inputs present, one Batch each; `paths` as of Crops."""
+    """Whole held-out windows, a Batch each: `spp` samples or all there are, all inputs; `paths` as of Crops."""
 
     def __init__(self, views: Sequence[View], paths: int, spp: int = 8) -> None:
         self.views, self.paths, self.spp = views, paths, spp
@@ -217,7 +218,7 @@ class ValidationViews(Dataset):
 
     def __getitem__(self, index: int) -> Batch:
         view = self.views[index]
-        samples, reference = view.crop(0, 0, view.side, 0, self.spp, self.paths)
+        samples, reference = view.crop(0, 0, view.side, 0, min(self.spp, view.samples), self.paths)
         return collate([(frame_inputs(samples, view.exposure, view.depth_scale), reference)])
 
 

@@ -17,7 +17,8 @@ def info(folder: Path, check: bool = False) -> dict[str, Any]:
     """Views by split and content, spp, reference spp and RelL2 (of the exposed picture), licences, origins, bytes.
 
     `faults` says which references `render` would refuse today, and why; `without_samples` counts the views whose
-    samples are yet to be rendered. With `check` every byte is read: `damaged` lists files that have been altered.
+    samples are yet to be rendered. With `check` every byte is read: `damaged` lists files that have been altered, and
+    references that are gone.
     """
     lines = _lines(folder)
     error = np.array([line["reference_rell2"] for line in lines])
@@ -45,7 +46,9 @@ def info(folder: Path, check: bool = False) -> dict[str, Any]:
         "bytes": {k: sum(line["files"].get(k, {"bytes": 0})["bytes"] for line in lines) for k in store.KINDS},
         "faults": faults(folder, lines),
     }
-    return facts | ({"damaged": [str(path) for path in store.damaged(folder, lines)]} if check else {})
+    return facts | (
+        {"damaged": [str(path) for path in store.damaged(folder, store.read_index(folder))]} if check else {}
+    )
 
 
 def faults(folder: Path, lines: list[store.Line]) -> dict[str, str]:

@@ -90,6 +90,8 @@ def fit(
     out.mkdir(parents=True, exist_ok=True)
     last = out / "last.ckpt"
     done = completed_steps(last, config)
+    if done >= config.optimiser.steps:
+        return last  # and its record says how it came to be
     on_terminal = Console().is_terminal
     options = config.optimiser
     trainer = lightning.Trainer(
@@ -242,7 +244,15 @@ def completed_steps(checkpoint: Path, config: Config) -> int:
     if not checkpoint.is_file():
         return 0
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    if Config.model_validate(state["hyper_parameters"]["config"]) != config:  # keys newer than the run have defaults
+    before = Config.model_validate(state["hyper_parameters"]["config"])  # keys newer than the run have defaults
+    steps = before.optimiser.steps
+    as_long = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"steps": steps})})
+    if before == as_long != config:
+        raise ValueError(
+            f"{checkpoint} is of a run of {steps} steps, whose learning rate falls over all of them: give as many, or "
+            f"go on in another --out with --start-from {checkpoint}"
+        )
+    if before != config:
         raise ValueError(f"{checkpoint} was trained with another preset; choose another --out or the same preset")
     return int(state["global_step"])
 

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from . import farm, store
-from .reference import BUDGET
+from .reference import BUDGET, GOOD
 from .scenes.faults import Gallery
 from .view import DESCRIPTION, Task, entropy
 
@@ -46,7 +46,8 @@ def render(
     `budget` is core-seconds per view for the reference, BUDGET for new views if it is None. `spp` samples are stored of
     `crops` windows of `crop` pixels. Views that exist are kept, so the same command continues an interrupted run; those
     of `out` whose samples are missing, or of another number than the given `spp`, get new ones, and those whose
-    references had less than the given `budget` get new references; crops and whatever else there is stay.
+    references are missing, or had less than the given `budget` and are not good, get new references; crops and whatever
+    else there is stay.
     Order and content depend on `seed` alone, the reference's sample count on the machine's speed too. A share
     `held_out` of the scenes is marked "val". `cluster` is the address of a Dask scheduler whose workers render instead
     of `workers` processes. Returns how many views are "done", "kept" and "failed"; reasons are in out/render.log.
@@ -80,8 +81,10 @@ def _missing(
     tasks = [task for task in wanted if task.id not in lines]
     for line in lines.values():
         had = line.get("budget", BUDGET)  # data sets did not say it at first
+        spend = max(had, budget or 0.0)
+        better = spend > had and line["reference_rell2"] >= GOOD  # a good one would come out the same
         lacks = {
-            store.REFERENCES: budget is not None and budget > had,
+            store.REFERENCES: better or not store.present(out, line, store.REFERENCES),
             store.SAMPLES: (spp or line["spp"]) != line["spp"] or not store.present(out, line, store.SAMPLES),
         }
         if any(lacks.values()):
@@ -90,7 +93,6 @@ def _missing(
                 raise FileNotFoundError(f"{path} is gone; say with --library where the scene of {line['id']} is now")
             facts = {name: line[name] for name in DESCRIPTION} | {"size": line["width"], "spp": spp or line["spp"]}
             kinds = tuple(kind for kind, wanting in lacks.items() if wanting)
-            spend = had if budget is None else budget
             tasks.append(Task(**facts, path=path, budget=spend, variant=variant, known=line, kinds=kinds))
     return tasks
 
@@ -114,8 +116,9 @@ def _take_in(out: Path, task: Task, result: farm.Result, gallery: Gallery) -> st
 
 def _gallery(out: Path, lines: dict[str, store.Line]) -> Gallery:
     gallery = Gallery()
-    for view in lines:
-        gallery.add(view, store.reference_color(out, view))
+    for view, line in lines.items():
+        if store.present(out, line, store.REFERENCES):
+            gallery.add(view, store.reference_color(out, view))
     return gallery
 
 

@@ -30,6 +30,10 @@ Arrays = dict[str, NDArray[Any]]
 Line = dict[str, Any]
 FORMAT = 2
 REFERENCES, SAMPLES = KINDS = "references", "samples"
+OWN = {  # the facts of a line that belong to a kind of file: what its latest one says counts
+    REFERENCES: ("reference_spp", "reference_rell2", "exposure", "depth_scale", "budget"),
+    SAMPLES: ("spp",),
+}
 OPEN_FILES = 128
 
 log = logging.getLogger("pathfold.store")
@@ -81,6 +85,11 @@ def write_whole(path: Path, content: bytes) -> None:
         raise OSError(error.errno, f"cannot write {path}: {error.strerror}; {cure}") from error
 
 
+def begun(folder: Path) -> bool:
+    """The folder holds views, though it may have lost its index."""
+    return (folder / "index.jsonl").is_file() or any((folder / REFERENCES).glob("*.safetensors"))
+
+
 def append_line(folder: Path, line: Line) -> None:
     """One writer only: the process that runs `render`."""
     try:
@@ -126,24 +135,25 @@ def present(folder: Path, line: Line, kind: str) -> bool:
 
 
 def damaged(folder: Path, lines: list[Line]) -> Iterator[Path]:
-    """Files that are there but no longer what was written; reads every byte."""
+    """Files that are there but no longer what was written, and references that are gone; reads every byte."""
     for line in lines:
-        for kind, sealed in line["files"].items():
-            path = file_path(folder, kind, line["id"])
-            if path.exists() and _digest(path) != sealed["sha256"]:
+        for kind in KINDS:
+            path, sealed = file_path(folder, kind, line["id"]), line["files"].get(kind)
+            altered = sealed is not None and path.exists() and _digest(path) != sealed["sha256"]
+            if altered or (kind == REFERENCES and not path.exists()):
                 yield path
 
 
 def recover(folder: Path) -> list[Line]:
-    """Makes index and files agree after an interruption and returns the lines of the views whose reference is whole.
+    """Makes index and files agree after an interruption and returns the line of every view; its `files` are whole.
 
     Damaged files are removed, each with a warning, so that they are rendered again; whole files that the index does not
     know, because the process was killed before it wrote the line, are taken up. Reads every byte.
     """
     lines = {line["id"]: line for line in read_index(folder)}
     for path in damaged(folder, list(lines.values())):
-        log.warning("%s is damaged and will be rendered again", path)
-        path.unlink()
+        log.warning("%s is damaged or gone and will be rendered again", path)
+        path.unlink(missing_ok=True)
     for kind in KINDS:
         for path in (folder / kind).glob("*.partial"):
             path.unlink()
@@ -152,9 +162,8 @@ def recover(folder: Path) -> list[Line]:
                 _take_up(lines, kind, path)
     for line in lines.values():
         line["files"] = {k: v for k, v in line["files"].items() if file_path(folder, k, line["id"]).exists()}
-    kept = [line for line in lines.values() if REFERENCES in line["files"]]
-    write_whole(folder / "index.jsonl", "".join(json.dumps(line) + "\n" for line in kept).encode())
-    return kept
+    write_whole(folder / "index.jsonl", "".join(json.dumps(line) + "\n" for line in lines.values()).encode())
+    return list(lines.values())
 
 
 def _take_up(lines: dict[str, Line], kind: str, path: Path) -> None:
@@ -166,7 +175,7 @@ def _take_up(lines: dict[str, Line], kind: str, path: Path) -> None:
         path.unlink()
         return
     line = lines.setdefault(path.stem, facts | {"files": {}})
-    line |= facts
+    line |= {name: facts[name] for name in OWN[kind] if name in facts}
     line["files"][kind] = {"bytes": path.stat().st_size, "sha256": _digest(path)}
 
 
@@ -216,7 +225,8 @@ class Store:
                 self._open[path] = safe_open(path, framework="numpy")
             except (SafetensorError, OSError) as error:
                 raise DamagedFileError(
-                    f"{path} is damaged ({error}); `pathfold-train render --out {self.folder}` renders it again"
+                    f"{path} is damaged ({error}), or was rendered again meanwhile; `pathfold-train render --out "
+                    f"{self.folder}` mends what is damaged, and this command can then be given again"
                 ) from error
             self._checked.add(path)
             if len(self._open) > OPEN_FILES:

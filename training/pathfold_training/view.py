@@ -193,7 +193,7 @@ def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
     if line["kind"] == "procedural" and line.get("generator", 1) != procedural.GENERATOR:
         raise RejectedError(
             f"generator {line.get('generator', 1)} made its scene and this is {procedural.GENERATOR}; "
-            "render the data set anew, or its samples with the version that made it"
+            "render the data set anew, or what this view lacks with the version that made it"
         )
     scene = _load_file(task) if line["kind"] == "library" else _build(line["scene_seed"])[1]
     if "variation" in line:

@@ -159,8 +159,11 @@ def frame_lines(path: Path, frame: "Frame") -> Iterator[str]:
 
 def noisy_layers(one: "Denoised") -> list[str]:
     """The parts of the beauty that the model did not filter and nobody asked for."""
-    parts = {name: str(one.frame.sources[name]) for name in ("diffuse", "specular") if name in one.frame.sources}
-    return [layer for name, layer in parts.items() if layer not in one.layers and getattr(one.result, name) is None]
+    sources = one.frame.sources
+    parts = {name: sources[name] for name in ("diffuse", "specular") if name in sources}
+    # the beauty may be all diffuse, and what is only computed, beauty less diffuse, is in no layer
+    stay = {name: str(source) for name, source in parts.items() if source != sources["color"] and not source.subtract}
+    return [layer for name, layer in stay.items() if layer not in one.layers and getattr(one.result, name) is None]
 
 
 def result_lines(report: dict[str, Any]) -> Iterator[str]:
