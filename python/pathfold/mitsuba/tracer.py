@@ -22,10 +22,8 @@ MEANS = (
     *("color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth", "alpha"),
     *("variance", "diffuse.variance", "specular.variance"),
 )
-OPTIONAL = {
-    *("diffuse", "diffuse_albedo", "albedo", "normal", "depth", "alpha", "position"),
-    *("descriptor", "density", "overlong"),
-}
+RECORDED = {"descriptor", "density", "overlong"}
+OPTIONAL = {"diffuse", "diffuse_albedo", "albedo", "normal", "depth", "alpha", "position", *RECORDED}
 MAX_LANES = 2**32 // 36
 CHUNK_LANES = 1 << 22  # samples that trace_mean holds at once
 
@@ -135,6 +133,7 @@ def trace(
         )
     surveyed = materials.survey(scene)
     first = min(recorded, spp)
+    launched: list[tuple[int, int, dict[str, list[Any]]]] = []
     planes: dict[str, NDArray[Any]] = {}
     for begin, count, records in ((0, first, True), (first, spp - first, False)):
         if count == 0:
@@ -147,10 +146,13 @@ def trace(
         columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
         own = {} if record is None else descriptor.channels(record)
         columns = {name: channels for name, channels in (columns | own).items() if name not in leave_out}
-        dr.eval(columns)
+        dr.eval(columns)  # returns at once: the second launch is made ready while the first one runs
+        launched.append((begin, count, columns))
+    for begin, count, columns in launched:
         for name, channels in columns.items():
             if name not in planes:
-                shape = first if name in own else spp, len(channels), film.height, film.width
+                samples = first if name in RECORDED else spp
+                shape = samples, len(channels), film.height, film.width
                 planes[name] = np.empty(shape, channels[0].numpy().dtype)
             to_host(channels, planes[name][begin : begin + count])
     return Samples(**{name: np.moveaxis(values, 1, -1) for name, values in planes.items()})
