@@ -13,7 +13,7 @@ if mi.variant() != "llvm_ad_rgb":
 
 import tracer_scenes as scenes
 from pathfold.channels import samples
-from pathfold.mitsuba import Samples, trace, trace_mean
+from pathfold.mitsuba import Frozen, Samples, trace, trace_mean
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 BLOCKS = 4
@@ -176,6 +176,27 @@ def test_paths_are_recorded_of_the_first_samples_alone(scene: Any) -> None:
                 expected = expected[:recorded]
             if values is not None:
                 np.testing.assert_array_equal(values, expected, err_msg=f"{name}, {recorded}")
+
+
+def test_a_launch_made_ready_once_changes_nothing(scene: Any) -> None:
+    launch = Frozen()
+    film = mi.traverse(scene.sensors()[0])
+    width, height = film["film.size"]
+    for offset, rows in (
+        (0, height),
+        (0, height // 4),
+        (height // 2, height // 4),
+    ):  # bands of rows, as Camera takes them
+        film["film.crop_offset"], film["film.crop_size"] = [0, offset], [width, rows]
+        film.update()
+        for spp, seed, recorded, depth in ((1, 1, 1, 6), (4, 2, 2, 6), (5, 3, 2, 6), (3, 3, 0, 4)):
+            options = {"spp": spp, "seed": seed, "recorded": recorded, "max_depth": depth}
+            plain, ready = trace(scene, **options), trace(scene, **options, launch=launch)
+            for name, values in vars(plain).items():
+                np.testing.assert_array_equal(getattr(ready, name), values, err_msg=f"{name}, {offset}, {options}")
+    film["film.crop_offset"], film["film.crop_size"] = [0, 0], [width, height]
+    film.update()
+    assert launch.refused == any(emitter.class_name() == "EnvironmentMapEmitter" for emitter in scene.emitters())
 
 
 @only(scenes.room)

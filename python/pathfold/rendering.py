@@ -41,6 +41,7 @@ class Camera:
         if not self._scene.shapes():
             raise SceneError(f"{path}: has no shapes, so there is nothing to see; add one")
         self._path = path
+        self._view: Any = None
         self.use(sensor, size)
 
     @property
@@ -52,6 +53,8 @@ class Camera:
         """See the scene through its camera number `sensor`, with a film of width x height (None: the film's own)."""
         import mitsuba as mi
 
+        from pathfold.mitsuba import Frozen
+
         sensors = self._scene.sensors()
         if sensor >= len(sensors):
             raise SceneError(f"{self._path}: has no camera {sensor}; it has {len(sensors)}")
@@ -62,6 +65,8 @@ class Camera:
         film = sensors[sensor].film()
         (x, y), (width, height) = film.crop_offset(), film.crop_size()
         self._origin, self.size = (int(x), int(y)), (int(width), int(height))
+        if self._view != (view := (sensor, self._origin, self.size)):
+            self._view, self._launch = view, Frozen()
 
     def trace(
         self,
@@ -105,6 +110,7 @@ class Camera:
                     vertices=vertices,
                     recorded=recorded,
                     leave_out=unneeded,
+                    launch=self._launch,
                 )
             except (ValueError, TypeError, NotImplementedError) as error:
                 raise SceneError(_last_words(error)) from error

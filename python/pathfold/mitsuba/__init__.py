@@ -1,5 +1,5 @@
 """Mitsuba 3 path tracing with per-sample path descriptors."""
 
-from .tracer import Samples, trace, trace_mean
+from .tracer import Frozen, Samples, trace, trace_mean
 
-__all__ = ["Samples", "trace", "trace_mean"]
+__all__ = ["Frozen", "Samples", "trace", "trace_mean"]

@@ -22,9 +22,12 @@ MEANS = (
     *("color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth", "alpha"),
     *("variance", "diffuse.variance", "specular.variance"),
 )
+Columns = dict[str, list[Any]]  # of every field of Samples its channels, as device arrays
+Launch = Callable[..., Columns]  # trace_lanes, or that made ready once
 RECORDED = {"descriptor", "density", "overlong"}
 OPTIONAL = {"diffuse", "diffuse_albedo", "albedo", "normal", "depth", "alpha", "position", *RECORDED}
 MAX_LANES = 2**32 // 36
+FROZEN = 16  # launches that one Frozen keeps ready
 CHUNK_LANES = 1 << 22  # samples that trace_mean holds at once
 
 
@@ -109,6 +112,7 @@ def trace(
     *,
     recorded: int = ALL_SAMPLES,
     leave_out: Collection[str] = (),
+    launch: Launch | None = None,
 ) -> Samples:
     """Path-trace `spp` samples for every pixel of a sensor of a loaded Mitsuba scene.
 
@@ -118,6 +122,7 @@ def trace(
     descriptor, density and overlong have no more.
     Without `emitter_sampling` light is only found by running into it. `leave_out` names fields of `Samples` that are
     not made, nor anything that only they need; the others stay what they are. Equal arguments give equal arrays.
+    Many calls on one scene are faster with a `launch` that they share: see `Frozen`.
     Raises ValueError for arguments out of range, NotImplementedError naming what the scene has and we lack.
     """
     camera = check(scene, spp, seed, sensor, max_depth, rr_depth, vertices)
@@ -125,7 +130,7 @@ def trace(
         raise ValueError(f"leave_out names {', '.join(sorted(unknown))}; it may name {', '.join(sorted(OPTIONAL))}")
     if recorded < 0:
         raise ValueError(f"recorded is {recorded}; give 0 or more samples per pixel")
-    film = Film(camera)
+    film = Film.of(camera)
     if film.pixels * spp > MAX_LANES:
         raise ValueError(
             f"{film.width}x{film.height} pixels at {spp} samples are more than {MAX_LANES} paths in one call; "
@@ -133,19 +138,16 @@ def trace(
         )
     surveyed = materials.survey(scene)
     first = min(recorded, spp)
-    launched: list[tuple[int, int, dict[str, list[Any]]]] = []
+    launched: list[tuple[int, int, Columns]] = []
     planes: dict[str, NDArray[Any]] = {}
     for begin, count, records in ((0, first, True), (first, spp - first, False)):
         if count == 0:
             continue
         settings = Settings(max_depth, rr_depth, vertices, records, emitter_sampling, surveyed)
-        # Sample-major lanes: every channel is a plane S x H x W as it leaves the device.
-        pixel = dr.arange(mi.UInt32, film.pixels * count) % opaque(film.pixels)
-        stream = Stream.seeded((seed, 0), begin * film.pixels, count * film.pixels)
-        position, path, guides, record = launch(scene, camera, film, pixel, stream, settings)
-        columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
-        own = {} if record is None else descriptor.channels(record)
-        columns = {name: channels for name, channels in (columns | own).items() if name not in leave_out}
+        lanes = dr.arange(mi.UInt32, film.pixels * count)
+        dr.eval(lanes)  # their number is the size of the launch, whatever it was made ready with
+        numbers = Stream.entropy(seed, 0), opaque(begin * film.pixels)
+        columns = (launch or trace_lanes)(scene, camera, film, lanes, *numbers, settings, frozenset(leave_out))
         dr.eval(columns)  # returns at once: the second launch is made ready while the first one runs
         launched.append((begin, count, columns))
     for begin, count, columns in launched:
@@ -156,6 +158,42 @@ def trace(
                 planes[name] = np.empty(shape, channels[0].numpy().dtype)
             to_host(channels, planes[name][begin : begin + count])
     return Samples(**{name: np.moveaxis(values, 1, -1) for name, values in planes.items()})
+
+
+def trace_lanes(
+    scene: Any, camera: Any, film: Film, lanes: Any, entropy: Any, first: Any, settings: Settings, leave_out: frozenset
+) -> Columns:
+    """Trace a path per lane; return the channels of all fields of `Samples` but those left out, one value per lane.
+
+    Lanes are sample-major: every channel is a plane S x H x W as it leaves the device. They take their random numbers
+    from lane `first` of `entropy` on.
+    """
+    stream = Stream.seeded(entropy, lanes + first)
+    position, path, guides, record = trace_paths(scene, camera, film, lanes % opaque(film.pixels), stream, settings)
+    columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
+    columns |= {} if record is None else descriptor.channels(record)
+    return {name: channels for name, channels in columns.items() if name not in leave_out}
+
+
+class Frozen:
+    """A `launch` for `trace`: made ready once for each of its settings and film sizes, and not in every call.
+
+    Of the scene only what Dr.Jit holds in arrays may change between the calls that share it; take a new one after any
+    other change, and for another scene. Where a plugin of the scene hides arrays from Dr.Jit it is `refused`, and every
+    call does all the work.
+    """
+
+    def __init__(self) -> None:
+        self._ready = dr.freeze(trace_lanes, limit=FROZEN, warn_after=ALL_SAMPLES)
+        self.refused = False
+
+    def __call__(self, *arguments: Any) -> Columns:
+        if not self.refused:
+            try:
+                return self._ready(*arguments)
+            except RuntimeError:  # an error of the tracing itself comes again below
+                self.refused = True
+        return trace_lanes(*arguments)
 
 
 def trace_mean(
@@ -173,7 +211,7 @@ def trace_mean(
     are not finite are left out and counted. Seeds are independent of each other and of `trace`'s.
     """
     camera = check(scene, spp, seed, sensor, max_depth, rr_depth, 1)
-    film = Film(camera)
+    film = Film.of(camera)
     settings = Settings(max_depth, rr_depth, 1, False, emitter_sampling, materials.survey(scene))
     chunk = max(1, CHUNK_LANES // film.pixels)
     sums: dict[str, NDArray[np.float64]] = {}
@@ -181,8 +219,8 @@ def trace_mean(
         size = min(chunk, spp - first)
         # Pixel-major lanes: the samples of a pixel lie side by side and are summed as a block.
         pixel = dr.arange(mi.UInt32, film.pixels * size) // opaque(size)
-        stream = Stream.seeded((seed, 1, index), 0, film.pixels * size)
-        _, path, guides, _ = launch(scene, camera, film, pixel, stream, settings)
+        stream = Stream.seeded(Stream.entropy(seed, 1, index), dr.arange(mi.UInt32, film.pixels * size))
+        _, path, guides, _ = trace_paths(scene, camera, film, pixel, stream, settings)
         columns = pack(camera, path, guides, list)
         finite = dr.full(mi.Bool, True, film.pixels * size)
         for channel in chain.from_iterable(columns.values()):
@@ -233,10 +271,14 @@ class Stream:
     rng: Any
 
     @staticmethod
-    def seeded(entropy: tuple[int, ...], first: int, lanes: int) -> Stream:
-        """For lanes [first, first + lanes) of all that equal entropies stand for."""
-        seed = opaque(int(np.random.SeedSequence(entropy).generate_state(1)[0]))
-        state, sequence = mi.sample_tea_32(seed, dr.arange(mi.UInt32, lanes) + opaque(first))
+    def entropy(*numbers: int) -> Any:
+        """The seed that these numbers stand for, on the device."""
+        return opaque(int(np.random.SeedSequence(numbers).generate_state(1)[0]))
+
+    @staticmethod
+    def seeded(entropy: Any, lanes: Any) -> Stream:
+        """For lanes of these numbers, of all that an entropy stands for."""
+        state, sequence = mi.sample_tea_32(entropy, lanes)
         return Stream(mi.PCG32(initstate=mi.UInt64(state), initseq=mi.UInt64(sequence)))  # type: ignore[operator]
 
     def next_1d(self) -> Any:
@@ -246,7 +288,7 @@ class Stream:
         return mi.Point2f(self.rng.next_float32(), self.rng.next_float32())
 
 
-def launch(
+def trace_paths(
     scene: Any, camera: Any, film: Film, pixel: Any, sampler: Stream, settings: Settings
 ) -> tuple[Any, Path, Guides, descriptor.Record | None]:
     """Trace one path per lane through its pixel; return its film position first."""
