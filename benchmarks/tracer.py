@@ -88,14 +88,17 @@ def cpu_seconds(run: Callable[[], Any]) -> float:
 
 
 def measure(scene: Any, spp: int, rounds: int) -> dict[str, float]:
-    """Return medians in CPU seconds: path, trace, trace without descriptors, trace_mean."""
-    from pathfold.mitsuba import trace, trace_mean
+    """Return medians in CPU seconds: path; trace, with no sample's paths, with two samples', frozen too; trace_mean."""
+    from pathfold.mitsuba import Frozen, trace, trace_mean
 
+    launch = Frozen()
     path = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": 1000})
     runs: dict[str, Callable[[int], Any]] = {
         "path": lambda seed: np.array(mi.render(scene, integrator=path, spp=spp, seed=seed)),
         "trace": lambda seed: trace(scene, spp=spp, seed=seed, max_depth=MAX_DEPTH),
         "plain": lambda seed: trace(scene, spp=spp, seed=seed, max_depth=MAX_DEPTH, recorded=0),
+        "two": lambda seed: trace(scene, spp=spp, seed=seed, max_depth=MAX_DEPTH, recorded=2),
+        "frozen": lambda seed: trace(scene, spp=spp, seed=seed, max_depth=MAX_DEPTH, recorded=2, launch=launch),
         "mean": lambda seed: trace_mean(scene, spp=spp, seed=seed, max_depth=MAX_DEPTH),
     }
     times: dict[str, list[float]] = {name: [] for name in runs}
@@ -128,7 +131,7 @@ def main() -> None:
     for name, build in builders.items():
         results[name] = seconds = measure(build(), options.spp, options.rounds)
         if not options.json:
-            ratios = "  ".join(f"{key} {seconds[key] / seconds['path']:.2f}" for key in ("trace", "plain", "mean"))
+            ratios = "  ".join(f"{key} {seconds[key] / seconds['path']:.2f}" for key in seconds if key != "path")
             verdict = "within" if seconds["trace"] <= GOAL * seconds["path"] else "over"
             print(f"{name}: path {seconds['path']:.3f} s, ratios: {ratios} ({verdict} the goal of {GOAL})")
     if options.json:
