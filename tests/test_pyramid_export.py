@@ -279,6 +279,25 @@ def test_int8_is_written_with_its_measured_error(
     np.testing.assert_array_equal(exact.color, Denoiser(exported[0]).run_buffers(buffers).color)
 
 
+def test_an_error_is_of_a_frame_of_all_its_samples(
+    exported: tuple[Path, Denoising], data: Stored, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = []
+    run = Denoiser.run_buffers
+
+    def spied(self: Denoiser, buffers: Buffers, **options: float) -> object:
+        said.append((len(buffers["samples.descriptor"]), options["samples_per_pixel"], "variance" in buffers))
+        return run(self, buffers, **options)
+
+    monkeypatch.setattr(Denoiser, "run_buffers", spied)
+    one, most = ValidationViews(data.held_out(), 1, 4), ValidationViews(data.held_out(), 1, 99)
+    quantise.error(Denoiser(exported[0]), one[0], 4)  # whatever the paths are of
+    assert said == [(1, 4, True)]
+    monkeypatch.setattr(quantise, "Denoiser", lambda folder, precision: Denoiser(folder))
+    assert quantise.ratios(exported[0], most) == [1.0]
+    assert said[1:] == [(1, 8, True)] * 2
+
+
 def test_int8_is_calibrated_on_fireflies_too(exported: tuple[Path, Denoising], data: Stored) -> None:
     manifest = json.loads((exported[0] / "manifest.json").read_text())
     feeds = list(quantise.calibration_feeds(exported[0], manifest, data, 9))

@@ -20,6 +20,7 @@ pytest.importorskip("mitsuba")
 
 from pathfold_training import farm, reference, render, store, view
 from pathfold_training.scenes.faults import RejectedError
+from pathfold_training.scenes.procedural import GENERATOR
 
 LIBRARY = Path(__file__).parent / "assets" / "library"
 SMALL = {"budget": 0.0, "seed": 3, "size": 16, "spp": 4}
@@ -97,6 +98,12 @@ def test_references_that_are_lost_or_damaged_are_rendered_again(finished: Path, 
         old, new = (store.Store(folder).tensor(line["id"], "reference.color")[:] for folder in (finished, out))
         assert np.array_equal(old, new)
     assert render.render(out)["kept"] == 2
+
+
+def test_a_view_whose_generator_is_gone_is_made_anew_when_its_reference_is_lost(finished: Path) -> None:
+    line = store.read_index(finished)[0] | {"kind": "procedural", "generator": GENERATOR - 1}
+    lost = line | {"files": {store.SAMPLES: line["files"][store.SAMPLES]}}
+    assert [render._lost(each) for each in (line, lost, lost | {"generator": GENERATOR})] == [False, True, False]
 
 
 def test_a_larger_budget_leaves_references_that_are_good(finished: Path) -> None:

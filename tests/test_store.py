@@ -82,6 +82,8 @@ def test_samples_that_the_index_does_not_know_replace_what_it_says(folder: Path)
     store.write(folder, lines[0] | {"spp": 2}, tensors)  # killed before the line was written
     assert list(store.damaged(folder, lines)) == [path(folder, store.SAMPLES, 0)]
     assert [line["id"] for line in store.Store(folder).lines] == ["view-1", "view-2"]
+    assert [line["spp"] for line in store.recover(folder)] == [2, 8, 8]
+    assert [line["id"] for line in store.Store(folder).lines] == ["view-0", "view-1", "view-2"]
 
 
 def test_an_index_is_made_again_with_the_facts_of_the_newest_files(folder: Path) -> None:
@@ -116,7 +118,7 @@ def test_views_without_samples_are_left_out_with_a_warning(folder: Path, caplog:
     assert "1 views left out" in caplog.text
     for number in (1, 2):
         path(folder, store.SAMPLES, number).unlink()
-    with pytest.raises(FileNotFoundError, match=r"no view in .* has its samples"):
+    with pytest.raises(FileNotFoundError, match=r"no view in .* has all its files"):
         store.Store(folder)
 
 

@@ -194,6 +194,9 @@ def test_a_launch_made_ready_once_changes_nothing(scene: Any) -> None:
             plain, ready = trace(scene, **options), trace(scene, **options, launch=launch)
             for name, values in vars(plain).items():
                 np.testing.assert_array_equal(getattr(ready, name), values, err_msg=f"{name}, {offset}, {options}")
+        replayed = launch._ready.n_recordings
+        trace(scene, **options, launch=launch)
+        assert launch._ready.n_recordings == replayed
     film["film.crop_offset"], film["film.crop_size"] = [0, 0], [width, height]
     film.update()
     assert launch.refused == any(emitter.class_name() == "EnvironmentMapEmitter" for emitter in scene.emitters())

@@ -121,8 +121,11 @@ def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path)
 def test_a_finished_run_keeps_its_record(data_set: Path, tmp_path: Path) -> None:
     last = fit(with_steps(TINY, 1), data_set, tmp_path, seed=3, validate_every=1000, threads=1)
     record = (tmp_path / "record.json").read_text()
-    assert fit(with_steps(TINY, 1), data_set, tmp_path, seed=4, validate_every=1000, threads=1) == last
+    again = fit(with_steps(TINY, 1), data_set, tmp_path, seed=3, validate_every=1000, threads=1, start_from=last)
+    assert again == last
     assert (tmp_path / "record.json").read_text() == record
+    with pytest.raises(ValueError, match="was begun with --seed 3"):
+        fit(with_steps(TINY, 1), data_set, tmp_path, seed=4)
 
 
 def test_views_of_few_samples_and_of_several_sizes_are_trained_on(tmp_path: Path) -> None:

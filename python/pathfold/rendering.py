@@ -29,6 +29,8 @@ class Camera:
 
     def __init__(self, path: Path, variant: str, sensor: int, size: tuple[int, int] | None) -> None:
         mi = load_mitsuba(variant)
+        from pathfold.mitsuba import Frozen  # needs the variant
+
         if path.is_dir():
             raise SceneError(f"{path}: is a folder; name the scene in it, say {path / 'scene.xml'}")
         if not path.is_file():
@@ -41,7 +43,7 @@ class Camera:
         if not self._scene.shapes():
             raise SceneError(f"{path}: has no shapes, so there is nothing to see; add one")
         self._path = path
-        self._view: Any = None
+        self._launch = Frozen()
         self.use(sensor, size)
 
     @property
@@ -53,8 +55,6 @@ class Camera:
         """See the scene through its camera number `sensor`, with a film of width x height (None: the film's own)."""
         import mitsuba as mi
 
-        from pathfold.mitsuba import Frozen
-
         sensors = self._scene.sensors()
         if sensor >= len(sensors):
             raise SceneError(f"{self._path}: has no camera {sensor}; it has {len(sensors)}")
@@ -65,8 +65,6 @@ class Camera:
         film = sensors[sensor].film()
         (x, y), (width, height) = film.crop_offset(), film.crop_size()
         self._origin, self.size = (int(x), int(y)), (int(width), int(height))
-        if self._view != (view := (sensor, self._origin, self.size)):
-            self._view, self._launch = view, Frozen()
 
     def trace(
         self,

@@ -186,15 +186,16 @@ class Crops(IterableDataset):
     def __iter__(self) -> Iterator[Batch]:
         for step in count(self.skip):
             views = self.views(step)
-            # an item depends on seed, step and place alone: exact resume, and the same whoever draws it
-            yield collate([self.draw(views, np.random.default_rng([self.seed, step, item])) for item in self.items])
+            # a batch depends on seed and step alone: exact resume, and the same whoever draws its items
+            rngs = [np.random.default_rng([self.seed, step, item]) for item in range(self.data.batch)]
+            drawn = [views[int(rng.integers(len(views)))] for rng in rngs]
+            size = min(self.data.crop, *(view.side for view in drawn))
+            yield collate([self.draw(drawn[item], size, rngs[item]) for item in self.items])
 
-    def draw(self, views: Sequence[View], rng: np.random.Generator) -> tuple[Inputs, Inputs]:
-        view = views[int(rng.integers(len(views)))]
-        low, high = math.log2(self.data.spp_min), math.log2(min(self.data.spp_max, view.samples))
+    def draw(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
+        low, high = (math.log2(min(number, view.samples)) for number in (self.data.spp_min, self.data.spp_max))
         number = round(2 ** rng.uniform(low, high))
         first = int(rng.integers(view.samples - number + 1))
-        size = min(self.data.crop, min(each.side for each in views))  # alike in a batch
         y, x = view.corner(size, rng)
         samples, reference = view.crop(y, x, size, first, number, self.paths)
         if self.albedo:

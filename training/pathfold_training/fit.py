@@ -31,6 +31,8 @@ from .networks.pathfold_graphs import trained_weights
 from .store import Line
 from .task import Denoising
 
+RECORD = "record.json"
+
 
 class TrainingSeconds(Callback):
     """Adds up the seconds of every part of a resumed run and keeps them, with the machine, in the checkpoint."""
@@ -90,8 +92,9 @@ def fit(
     out.mkdir(parents=True, exist_ok=True)
     last = out / "last.ckpt"
     done = completed_steps(last, config)
-    if done >= config.optimiser.steps:
-        return last  # and its record says how it came to be
+    begun = json.loads((out / RECORD).read_text()) if done and (out / RECORD).is_file() else {}
+    if begun.get("seed", seed) != seed:
+        raise ValueError(f"{out} was begun with --seed {begun['seed']}: give that, or choose another --out")
     on_terminal = Console().is_terminal
     options = config.optimiser
     trainer = lightning.Trainer(
@@ -123,7 +126,7 @@ def fit(
     held_out = views.held_out()
     views(done)  # on the fly: the first are rendered before the clock of training runs
     crops = Crops(views, config.data, seed, paths, albedo=config.loss.albedo > 0.0, skip=done, **process)
-    record = partial(write_record, out, config, views.lines, seed, start_from, commit())  # of the code that runs
+    record = partial(write_record, out, config, views.lines, seed, start_from, commit(), begun)  # of the code that runs
     record()
     # batches are made whole by the data sets; one process keeps the batch stream and the resume exact
     train = DataLoader(crops, batch_size=None, num_workers=0)
@@ -258,8 +261,13 @@ def completed_steps(checkpoint: Path, config: Config) -> int:
 
 
 @rank_zero_only
-def write_record(out: Path, config: Config, views: list[Line], seed: int, start_from: Path | None, code: str) -> None:
-    """record.json beside the checkpoint: all that the model card says about how the weights came to be."""
+def write_record(
+    out: Path, config: Config, views: list[Line], seed: int, start_from: Path | None, code: str, begun: dict
+) -> None:
+    """record.json beside the checkpoint: all that the model card says about how the weights came to be.
+
+    Of a run that goes on, what it has `begun` with stays; the views may be more.
+    """
     train = [v for v in views if v["split"] == "train"]
     record = {
         "config": config.model_dump(),
@@ -277,7 +285,8 @@ def write_record(out: Path, config: Config, views: list[Line], seed: int, start_
             "reference_spp": [min(v["reference_spp"] for v in train), max(v["reference_spp"] for v in train)],
         },
     }
-    (out / "record.json").write_text(json.dumps(record, indent=2) + "\n")
+    record |= {name: value for name, value in begun.items() if name != "data"}
+    (out / RECORD).write_text(json.dumps(record, indent=2) + "\n")
 
 
 def start_record(source: Path | None) -> dict | None:
@@ -292,7 +301,7 @@ def start_record(source: Path | None) -> dict | None:
         return {"preset": manifest["name"], "commit": training["commit"], **total}
     state = torch.load(source, map_location="cpu", weights_only=True)
     own = {"steps": state["global_step"], **training_seconds(state)}
-    record = source.parent / "record.json"
+    record = source.parent / RECORD
     before = json.loads(record.read_text())["started_from"] if record.is_file() else None
     total = {key: value + (before or {}).get(key, 0) for key, value in own.items()}
     return {"preset": state["hyper_parameters"]["config"]["name"], **total}

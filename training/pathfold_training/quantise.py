@@ -159,11 +159,11 @@ def body(graph: onnx.GraphProto, fp32: Sequence[str]) -> list[str]:
 def ratios(folder: Path, frames: ValidationViews) -> list[float]:
     """RelL2 in int8 over that in fp32, of each frame as the SDK denoises it."""
     exact, rounded = (Denoiser(folder, precision=precision) for precision in ("fp32", "int8"))
-    batches = (frames[index] for index in range(len(frames)))
-    return [error(rounded, batch) / error(exact, batch) for batch in batches]
+    batches = ((frames[index], min(frames.spp, view.samples)) for index, view in enumerate(frames.views))
+    return [error(rounded, *frame) / error(exact, *frame) for frame in batches]
 
 
-def error(denoiser: Denoiser, batch: Batch) -> float:
+def error(denoiser: Denoiser, batch: Batch, spp: int) -> float:
     """RelL2 of the one frame of a batch, exposed."""
     exposure = float(batch.inputs["exposure"])
     known = {*denoiser.model.requires, *denoiser.model.uses}
@@ -171,6 +171,6 @@ def error(denoiser: Denoiser, batch: Batch) -> float:
     buffers = {name: value if name.startswith("samples.") else value[0] for name, value in buffers.items()}
     if not float(batch.inputs["variance.present"]):
         del buffers["variance"]
-    image = denoiser.run_buffers(buffers, samples_per_pixel=batch.counts[0], exposure=exposure).color * exposure
+    image = denoiser.run_buffers(buffers, samples_per_pixel=spp, exposure=exposure).color * exposure
     reference = np.moveaxis(batch.reference["color"].numpy()[0], 0, -1) * exposure
     return float(((image - reference) ** 2 / (reference**2 + 0.01)).mean())

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from . import farm, store
 from .reference import BUDGET, GOOD
 from .scenes.faults import Gallery
+from .scenes.procedural import GENERATOR
 from .view import DESCRIPTION, Task, entropy
 
 SPP = 16  # of the samples of new views
@@ -55,7 +56,7 @@ def render(
     """
     out.mkdir(parents=True, exist_ok=True)
     with _log_file(out / "render.log"):
-        lines = {line["id"]: line for line in store.recover(out)}
+        lines = {line["id"]: line for line in store.recover(out) if not _lost(line)}
         spend = BUDGET if budget is None else budget
         common = {"seed": seed, "size": size, "spp": spp or SPP, "budget": spend, "crop": crop, "crops": crops}
         wanted = plan(procedural, library, views_per_scene, held_out, variant=variant, **common)
@@ -71,6 +72,15 @@ def render(
                 counts["failed" if line is None else "done"] += 1
                 report.view(task, line)
     return counts
+
+
+def _lost(line: store.Line) -> bool:
+    """Its reference is gone, and so is the generator that made its scene: the view has to be made anew."""
+    made_by = line.get("generator", 1)
+    if store.REFERENCES in line["files"] or line["kind"] != "procedural" or made_by == GENERATOR:
+        return False
+    log.warning("%s left out: its reference is lost, and generator %s that made its scene is too", line["id"], made_by)
+    return True
 
 
 def _missing(
@@ -103,11 +113,11 @@ def _take_in(out: Path, task: Task, result: farm.Result, gallery: Gallery) -> st
         log.warning("%s skipped: %s", task.id, result)
         return None
     line, tensors = result
-    if not task.known:
-        color = tensors["reference.color"]
-        if fault := gallery.fault(color):
-            log.warning("%s skipped: %s", task.id, fault)
-            return None
+    color = tensors.get("reference.color")
+    if not task.known and (fault := gallery.fault(color)):
+        log.warning("%s skipped: %s", task.id, fault)
+        return None
+    if color is not None:
         gallery.add(task.id, color)
     line = store.write(out, line | {"files": (task.known or {}).get("files", {})}, tensors)
     store.append_line(out, line)

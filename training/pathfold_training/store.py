@@ -87,7 +87,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 def begun(folder: Path) -> bool:
     """The folder holds views, though it may have lost its index."""
-    return (folder / "index.jsonl").is_file() or any((folder / REFERENCES).glob("*.safetensors"))
+    return (folder / "index.jsonl").is_file() or any(folder.glob("*/*.safetensors"))
 
 
 def append_line(folder: Path, line: Line) -> None:
@@ -148,10 +148,16 @@ def recover(folder: Path) -> list[Line]:
     """Makes index and files agree after an interruption and returns the line of every view; its `files` are whole.
 
     Damaged files are removed, each with a warning, so that they are rendered again; whole files that the index does not
-    know, because the process was killed before it wrote the line, are taken up. Reads every byte.
+    know, or of which it knows another version, because the process was killed before it wrote the line, are taken up.
+    Reads every byte.
     """
     lines = {line["id"]: line for line in read_index(folder)}
     for path in damaged(folder, list(lines.values())):
+        kind, line = path.parent.name, lines[path.stem]
+        facts = _facts(path)
+        if facts and any(facts.get(name) != line.get(name) for name in OWN[kind]):
+            del line["files"][kind]
+            continue
         log.warning("%s is damaged or gone and will be rendered again", path)
         path.unlink(missing_ok=True)
     for kind in KINDS:
@@ -168,15 +174,22 @@ def recover(folder: Path) -> list[Line]:
 
 def _take_up(lines: dict[str, Line], kind: str, path: Path) -> None:
     """Adds a file that the index does not know; removes it if it cannot be read."""
-    try:
-        with safe_open(path, framework="numpy") as file:
-            facts = json.loads(file.metadata()["view"])
-    except (SafetensorError, KeyError, TypeError):
+    facts = _facts(path)
+    if facts is None:
         path.unlink()
         return
     line = lines.setdefault(path.stem, facts | {"files": {}})
     line |= {name: facts[name] for name in OWN[kind] if name in facts}
     line["files"][kind] = {"bytes": path.stat().st_size, "sha256": _digest(path)}
+
+
+def _facts(path: Path) -> Line | None:
+    """What a file's metadata says of its view; None where it cannot be read."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            return json.loads(file.metadata()["view"])
+    except (SafetensorError, OSError, KeyError, TypeError):
+        return None
 
 
 def _digest(path: Path) -> str:
@@ -196,7 +209,7 @@ class Store:
         self.lines = [line for line in lines if all(present(self.folder, line, kind) for kind in KINDS)]
         again = f"`pathfold-train render --out {self.folder}`"
         if not self.lines and lines:
-            raise FileNotFoundError(f"no view in {self.folder} has its samples: render them again with {again}")
+            raise FileNotFoundError(f"no view in {self.folder} has all its files: render what is missing with {again}")
         if not self.lines:
             raise FileNotFoundError(f"no whole view in {self.folder}: make some with {again}")
         if missing := len(lines) - len(self.lines):

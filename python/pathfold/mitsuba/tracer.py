@@ -150,7 +150,8 @@ def trace(
         columns = (launch or trace_lanes)(scene, camera, film, lanes, *numbers, settings, frozenset(leave_out))
         dr.eval(columns)  # returns at once: the second launch is made ready while the first one runs
         launched.append((begin, count, columns))
-    for begin, count, columns in launched:
+    while launched:
+        begin, count, columns = launched.pop(0)
         for name, channels in columns.items():
             if name not in planes:
                 samples = first if name in RECORDED else spp
@@ -191,8 +192,10 @@ class Frozen:
         if not self.refused:
             try:
                 return self._ready(*arguments)
-            except RuntimeError:  # an error of the tracing itself comes again below
-                self.refused = True
+            except RuntimeError as error:
+                if error.__cause__ and not isinstance(error.__cause__, Exception):
+                    raise error.__cause__ from None  # Dr.Jit hides Ctrl-C, too
+                self.refused = True  # an error of the tracing itself comes again below
         return trace_lanes(*arguments)
 
 

@@ -115,10 +115,10 @@ class MitsubaSubject:
         Equal arguments, equal frames.
         """
         self._camera.use(frame, size)
-        if not self._warm:
+        if self._warm != (frame, size):
             for kind in (0, 1) if max(recorded, default=0) else (0,):
-                self._trace(1, 0, kind)  # compiles the kernels
-            self._warm = True
+                self._trace(1, 0, kind)  # compiles the kernels and makes them ready
+            self._warm = frame, size
         pictures: dict[int, Buffers] = {}
 
         def call(kind: int) -> None:
@@ -136,7 +136,7 @@ class MitsubaSubject:
                 took[kind] += more
         return Shot(pictures[most], spp, took)
 
-    _warm = False
+    _warm: tuple[int, tuple[int, int]] | None = None  # frame and size
 
     def _trace(self, spp: int, seed: int, recorded: int) -> Buffers:
         wanted = {*channels.BUFFERS, *({"samples.descriptor", "samples.density"} if recorded else ())}
