@@ -1,7 +1,7 @@
 """int8 for a model of the pathfold family: quantised on training crops, measured on held-out views.
 
-Static quantisation by onnxruntime: the U-Net in int8, weights per channel; the first layer, trust, heads, embedding and
-reconstruction stay in float32.
+By onnxruntime, static: the U-Net in int8, weights per channel; its first two layers, trust, heads, the embedding
+and the reconstruction stay in float32.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from .halves import narrow, widen
 
 GRAPH, FILE = "network", "network.int8.onnx"  # what is quantised, and where it is written
 BODY = ("down.", "project.", "up.")  # its layers
+FP32 = ("down.0.0",)  # but for these: what it reads has the widest range, and costs most to round
 CROPS = 48  # to calibrate on
 FIREFLY, FIREFLY_EVERY = 1e8, 7  # exposed radiance of one pixel in every seventh of them
 VIEWS, SPPS = 16, (2, 8)  # to measure on: held-out windows at most, samples per pixel
@@ -69,7 +70,7 @@ def can_be_quantised(folder: Path) -> bool:
 
 
 def quantised_copy(
-    folder: Path, scratch: Path, data: Stored, crops: int = CROPS, fp32: Sequence[str] = (), percentile: float = 0
+    folder: Path, scratch: Path, data: Stored, crops: int = CROPS, fp32: Sequence[str] = FP32, percentile: float = 0
 ) -> Path:
     """A copy of the model folder in `scratch` that has an int8 variant, whose error is not known yet.
 
