@@ -113,12 +113,11 @@ def _take_in(out: Path, task: Task, result: farm.Result, gallery: Gallery) -> st
         log.warning("%s skipped: %s", task.id, result)
         return None
     line, tensors = result
-    color = tensors.get("reference.color")
-    if not task.known and (fault := gallery.fault(color)):
+    if not task.known and (fault := gallery.fault(tensors["reference.color"])):
         log.warning("%s skipped: %s", task.id, fault)
         return None
-    if color is not None:
-        gallery.add(task.id, color)
+    if "reference.color" in tensors:
+        gallery.add(task.id, tensors["reference.color"])
     line = store.write(out, line | {"files": (task.known or {}).get("files", {})}, tensors)
     store.append_line(out, line)
     return line
