@@ -26,10 +26,6 @@ TINY = Config(
 )
 
 
-def with_steps(config: Config, steps: int) -> Config:
-    return config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"steps": steps})})
-
-
 def weights(checkpoint: Path) -> dict[str, torch.Tensor]:
     return torch.load(checkpoint, map_location="cpu", weights_only=True)["state_dict"]
 
@@ -40,8 +36,8 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_both_networks_learn(data_set: Path, tmp_path: Path) -> None:
-    before = weights(fit(with_steps(TINY, 1), data_set, tmp_path / "one", validate_every=1000, threads=1))
-    after = weights(fit(with_steps(TINY, 3), data_set, tmp_path / "three", validate_every=1000, threads=1))
+    before = weights(fit(TINY.with_steps(1), data_set, tmp_path / "one", validate_every=1000, threads=1))
+    after = weights(fit(TINY.with_steps(3), data_set, tmp_path / "three", validate_every=1000, threads=1))
     moved = [name for name in before if not torch.equal(before[name], after[name])]
     assert any("trunk" in name for name in moved)
     assert any("paths" in name for name in moved)  # F learns from the same loss
@@ -76,7 +72,7 @@ def test_resumed_run_equals_the_whole_one(data_set: Path, tmp_path: Path) -> Non
 
 def test_start_from_copies_the_shared_weights(data_set: Path, tmp_path: Path) -> None:
     vanilla = TINY.model_copy(update={"name": "base", "network": TINY.network.model_copy(update={"embedding": 0})})
-    base = fit(with_steps(vanilla, 1), data_set, tmp_path / "base", validate_every=1000, threads=1)
+    base = fit(vanilla.with_steps(1), data_set, tmp_path / "base", validate_every=1000, threads=1)
     frozen = TINY.model_copy(update={"optimiser": TINY.optimiser.model_copy(update={"learning_rate": 0.0, "steps": 1})})
     begun = weights(fit(frozen, data_set, tmp_path / "begun", validate_every=1000, threads=1, start_from=base))
     shared = weights(base)
@@ -97,7 +93,7 @@ def test_start_from_copies_the_shared_weights(data_set: Path, tmp_path: Path) ->
 
 def test_a_model_folder_starts_a_run_where_it_stood(data_set: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    checkpoint = fit(with_steps(TINY, 2), data_set, run, validate_every=1000, threads=1)
+    checkpoint = fit(TINY.with_steps(2), data_set, run, validate_every=1000, threads=1)
     folder = export(checkpoint, tmp_path / "model", json.loads((run / "record.json").read_text()))
     frozen = TINY.model_copy(update={"optimiser": TINY.optimiser.model_copy(update={"learning_rate": 0.0, "steps": 1})})
     begun = fit(frozen, data_set, tmp_path / "begun", validate_every=1000, threads=1, start_from=folder)
@@ -109,23 +105,23 @@ def test_a_model_folder_starts_a_run_where_it_stood(data_set: Path, tmp_path: Pa
 
 
 def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path) -> None:
-    fit(with_steps(TINY, 1), data_set, tmp_path / "run", validate_every=1000, threads=1)
+    fit(TINY.with_steps(1), data_set, tmp_path / "run", validate_every=1000, threads=1)
     with pytest.raises(ValueError, match=r"of a run of 1 steps.*--start-from"):
-        fit(with_steps(TINY, 2), data_set, tmp_path / "run")
+        fit(TINY.with_steps(2), data_set, tmp_path / "run")
     with pytest.raises(ValueError, match="another preset"):
-        fit(with_steps(TINY, 1).model_copy(update={"data": Data(crop=16)}), data_set, tmp_path / "run")
+        fit(TINY.with_steps(1).model_copy(update={"data": Data(crop=16)}), data_set, tmp_path / "run")
     with pytest.raises(FileNotFoundError, match="pathfold-train render"):
         fit(TINY, tmp_path / "nothing", tmp_path / "other")
 
 
 def test_a_finished_run_keeps_its_record(data_set: Path, tmp_path: Path) -> None:
-    last = fit(with_steps(TINY, 1), data_set, tmp_path, seed=3, validate_every=1000, threads=1)
+    last = fit(TINY.with_steps(1), data_set, tmp_path, seed=3, validate_every=1000, threads=1)
     record = (tmp_path / "record.json").read_text()
-    again = fit(with_steps(TINY, 1), data_set, tmp_path, seed=3, validate_every=1000, threads=1, start_from=last)
+    again = fit(TINY.with_steps(1), data_set, tmp_path, seed=3, validate_every=1000, threads=1, start_from=last)
     assert again == last
     assert (tmp_path / "record.json").read_text() == record
     with pytest.raises(ValueError, match="was begun with --seed 3"):
-        fit(with_steps(TINY, 1), data_set, tmp_path, seed=4)
+        fit(TINY.with_steps(1), data_set, tmp_path, seed=4)
 
 
 def test_views_of_few_samples_and_of_several_sizes_are_trained_on(tmp_path: Path) -> None:
@@ -137,7 +133,7 @@ def test_views_of_few_samples_and_of_several_sizes_are_trained_on(tmp_path: Path
             for name, value in view_tensors(line["seed"]).items()
         }
         append_line(folder, write(folder, line | {"spp": 4, "width": side, "height": side, "crop": side}, tensors))
-    fit(with_steps(TINY, 2), folder, tmp_path / "run", validate_every=1, threads=1)
+    fit(TINY.with_steps(2), folder, tmp_path / "run", validate_every=1, threads=1)
     (batch,) = list(ValidationViews(Stored(folder).held_out(), ALL_SAMPLES))
     assert batch.counts == [4]
 
@@ -237,5 +233,5 @@ def test_one_sample_has_no_variance() -> None:
 
 
 def test_last_checkpoint_is_of_the_last_step(data_set: Path, tmp_path: Path) -> None:
-    last = fit(with_steps(TINY, 3), data_set, tmp_path / "run", validate_every=1000, save_every=2, threads=1)
+    last = fit(TINY.with_steps(3), data_set, tmp_path / "run", validate_every=1000, save_every=2, threads=1)
     assert torch.load(last, map_location="cpu", weights_only=True)["global_step"] == 3

@@ -154,7 +154,7 @@ def fit(
         raise ValueError("give --data DIR, or --render-on-the-fly, and not both")
     config = load_preset(preset)
     if steps is not None:
-        config = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"steps": steps})})
+        config = config.with_steps(steps)
     source = data or Live(variant)
     last = run(config, source, out, seed, threads, start_from=start_from, devices=devices, nodes=nodes)
     rank_zero_only(console.print)(f"checkpoint: {last}")

@@ -115,6 +115,10 @@ class Config(Strict):
         except (ValidationError, yaml.YAMLError) as error:
             raise ValueError(f"preset {path}: {error}") from error
 
+    def with_steps(self, steps: int) -> Config:
+        """The same, trained for so many steps."""
+        return self.model_copy(update={"optimiser": self.optimiser.model_copy(update={"steps": steps})})
+
 
 HERE = Path(__file__).resolve().parent
 PRESETS = HERE / "presets" if (HERE / "presets").is_dir() else HERE.parent / "presets"  # in a wheel; in a checkout

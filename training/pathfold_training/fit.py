@@ -250,8 +250,7 @@ def completed_steps(checkpoint: Path, config: Config) -> int:
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
     before = Config.model_validate(state["hyper_parameters"]["config"])  # keys newer than the run have defaults
     steps = before.optimiser.steps
-    as_long = config.model_copy(update={"optimiser": config.optimiser.model_copy(update={"steps": steps})})
-    if before == as_long != config:
+    if before == config.with_steps(steps) != config:
         raise ValueError(
             f"{checkpoint} is of a run of {steps} steps, whose learning rate falls over all of them: give as many, or "
             f"go on in another --out with --start-from {checkpoint}"

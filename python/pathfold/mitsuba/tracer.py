@@ -166,8 +166,8 @@ def trace_lanes(
 ) -> Columns:
     """Trace a path per lane; return the channels of all fields of `Samples` but those left out, one value per lane.
 
-    Lanes are sample-major: every channel is a plane S x H x W as it leaves the device. They take their random numbers
-    from lane `first` of `entropy` on.
+    `lanes` are UInt32 0 to S * H * W - 1 of `film`, sample-major: every channel is a plane S x H x W as it leaves the
+    device. They take their random numbers from lane `first` of `entropy` on, UInt32 of width 1 each.
     """
     stream = Stream.seeded(entropy, lanes + first)
     position, path, guides, record = trace_paths(scene, camera, film, lanes % opaque(film.pixels), stream, settings)
