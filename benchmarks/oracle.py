@@ -27,7 +27,7 @@ Operator = Callable[[Tensor], Tensor]
 def noisy_crop(view: View, size: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
     """Exposed radiance of SEEDS renders, their albedos, and the reference: 8 x 3 x h x w, and 1 x 3 x h x w."""
     rng = np.random.default_rng(seed)
-    samples, reference = view.crop(*view.corner(size, rng), size, 0, SEEDS * SPP, 0)
+    samples, reference = view.crop(*view.corner(size, rng), size, np.arange(SEEDS * SPP), 0)
     color = samples["samples.radiance"].unflatten(0, (SEEDS, SPP)).mean(1) * view.exposure
     albedo = samples["samples.albedo"].unflatten(0, (SEEDS, SPP)).mean(1)
     return color, albedo, reference["color"][None] * view.exposure

@@ -123,6 +123,7 @@ def test_samples_are_not_rendered_to_a_reference_of_another_generator(task: view
 def test_crops_are_windows_of_the_view(task: view.Task) -> None:
     line, tensors = view.render_view(replace(task, size=32, crop=16, crops=3, spp=64))
     assert tensors["samples.radiance"].shape == (3, 64, 3, 16, 16)
+    assert tensors["samples.descriptor"].shape == (3, line["described"], 36, 16, 16) and line["described"] < 64
     assert len({tuple(corner) for corner in line["crops"]}) == 3
     clean = tensors["reference.color"]
     for samples, (y, x) in zip(tensors["samples.radiance"], line["crops"], strict=True):

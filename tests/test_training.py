@@ -10,7 +10,17 @@ import torch
 from pathfold.models import ALL_SAMPLES
 from pathfold_training import cli
 from pathfold_training.config import Config, Data, Loss, Network, Optimiser
-from pathfold_training.data import Crops, Stored, ValidationViews, augment, frame_inputs, reduce_samples
+from pathfold_training.data import (
+    PATH_NAMES,
+    SAMPLE_NAMES,
+    Crops,
+    Stored,
+    ValidationViews,
+    View,
+    augment,
+    frame_inputs,
+    reduce_samples,
+)
 from pathfold_training.export import export
 from pathfold_training.fit import checkpoint_weights, fit, start_record
 from pathfold_training.store import append_line, read_index, write
@@ -182,22 +192,41 @@ def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:
 def test_the_albedo_is_told_by_samples_that_were_not_given(data_set: Path) -> None:
     view = Stored(data_set).train[0]
     stored = view.tensor("samples.albedo")[view.number].astype(np.float32)[:, :, 2:10, 4:12]
-    for first, count in ((0, 1), (1, 1), (view.samples - 2, 2)):
-        others = np.delete(stored, range(first, first + count), 0).mean(0)
-        np.testing.assert_allclose(view.albedo(2, 4, 8, first, count).numpy(), others, rtol=1e-3, atol=1e-4)
-    assert view.albedo(2, 4, 8, 0, view.samples // 2 + 1).isnan().all()
+    for given in ([0], [5, 1], [view.samples - 1, 0, 3]):
+        others = np.delete(stored, given, 0).mean(0)
+        np.testing.assert_allclose(view.albedo(2, 4, 8, np.array(given)).numpy(), others, rtol=1e-3, atol=1e-4)
+    assert view.albedo(2, 4, 8, np.arange(view.samples // 2 + 1)).isnan().all()
 
 
 def test_paths_of_the_first_samples_alone_are_read(data_set: Path) -> None:
     view = Stored(data_set).train[0]
-    whole, _ = view.crop(0, 0, 16, 1, 3, ALL_SAMPLES)
-    part, _ = view.crop(0, 0, 16, 1, 3, 2)
+    whole, _ = view.crop(0, 0, 16, np.array([4, 1, 6]), ALL_SAMPLES)
+    part, _ = view.crop(0, 0, 16, np.array([4, 1, 6]), 2)
     for name, value in part.items():
         fewer = name in ("samples.descriptor", "samples.density")
         assert torch.equal(value, whole[name][:2] if fewer else whole[name])
     inputs = frame_inputs(part, 1.0, 1.0)
     assert inputs["samples.valid"].shape[0] == 2
     assert torch.equal(inputs["variance"], frame_inputs(whole, 1.0, 1.0)["variance"])
+
+
+def test_samples_are_any_subset_and_begin_with_those_whose_paths_are_stored(tmp_path: Path) -> None:
+    tensors = view_tensors(0)
+    stored = {name: v[:, :3] if name in PATH_NAMES else v for name, v in tensors.items()}
+    line = json.loads((write_data_set(tmp_path / "data", 1) / "index.jsonl").read_text())
+    view = View(line | {"described": 3}, stored.__getitem__, 0)
+    rng = np.random.default_rng(1)
+    drawn = [view.draw(count, 2, rng) for count in (1, 2, 5, 8) for _ in range(50)]
+    for numbers in drawn:
+        assert len(set(numbers)) == len(numbers) and (numbers[:2] < 3).all()
+    assert len({frozenset(numbers) for numbers in drawn[100:150]}) > 15
+    assert {int(n) for numbers in drawn[100:150] for n in numbers} == set(range(8))
+    samples, _ = view.crop(3, 5, 16, np.array([2, 0, 7, 1]), ALL_SAMPLES)
+    for name in SAMPLE_NAMES:
+        np.testing.assert_array_equal(samples[name].numpy(), tensors[name][0, [2, 0, 7, 1], :, 3:19, 5:21])
+    described = tensors["samples.descriptor"][0, [2, 0], :, 3:19, 5:21]
+    np.testing.assert_array_equal(samples["samples.descriptor"].numpy(), described)
+    assert samples["samples.density"].shape[0] == 2
 
 
 def test_variance_is_of_the_pixel_mean() -> None:

@@ -76,7 +76,9 @@ class View:
 
     def __init__(self, line: Line, tensor: Callable[[str], Any], number: int) -> None:
         self.tensor, self.number, self.scene = tensor, number, str(line["scene"])
-        self.samples, self.side = line["spp"], line["crop"]
+        self.samples: int = line["spp"]
+        self.described: int = line.get("described") or self.samples  # data sets kept all paths at first
+        self.side = line["crop"]
         self.top, self.left = line["crops"][number]
         self.exposure, self.depth_scale = line["exposure"], line["depth_scale"]
 
@@ -104,37 +106,47 @@ class View:
         most = max(0, self.side - size)
         return int(np.clip(y - size // 2, 0, most)), int(np.clip(x - size // 2, 0, most))
 
-    def crop(self, y: int, x: int, size: int, first: int, count: int, paths: int) -> tuple[Inputs, Inputs]:
-        """Samples [first, first + count) and references of the crop: tensors S x C x h x w and C x h x w, float32.
+    def draw(self, count: int, paths: int, rng: np.random.Generator) -> NDArray[np.intp]:
+        """Numbers of `count` samples, any subset; paths are stored of the first `paths`, or of as many as can be."""
+        head = rng.choice(self.described, min(count, paths, self.described), replace=False)
+        others = np.setdiff1d(np.arange(self.samples), head)
+        return np.concatenate([head, rng.choice(others, count - len(head), replace=False)])
 
-        Path descriptors are read of the first `paths` samples and stay float16. Non-finite samples count as black.
+    def crop(self, y: int, x: int, size: int, numbers: NDArray[np.intp], paths: int) -> tuple[Inputs, Inputs]:
+        """Samples by number and references of the crop: tensors S x C x h x w and C x h x w, float32.
+
+        Path descriptors are read of the first `paths` of `numbers`, or of as many of these as they are stored of, and
+        stay float16. Non-finite samples count as black.
         """
-
-        def read(name: str, *index: Any) -> Tensor:
-            values = torch.nan_to_num(torch.from_numpy(self.tensor(name)[index]), 0.0, 0.0, 0.0)
-            return values if name == "samples.descriptor" else values.float()
-
         inside = slice(y, min(y + size, self.side)), slice(x, min(x + size, self.side))
-        samples, described = (
-            (self.number, slice(first, first + n), slice(None), *inside) for n in (count, min(count, paths))
-        )
-        whole = (
-            slice(None),
-            *(slice(s.start + o, s.stop + o) for s, o in zip(inside, (self.top, self.left), strict=True)),
-        )
-        inputs = {name: read(name, *samples) for name in SAMPLE_NAMES}
-        if paths > 0:
-            inputs |= {name: read(name, *described) for name in PATH_NAMES}
-        return inputs, {name.removeprefix("reference."): read(name, *whole) for name in REFERENCE_NAMES}
+        whole = [slice(s.start + o, s.stop + o) for s, o in zip(inside, (self.top, self.left), strict=True)]
+        described = numbers[: np.cumprod(numbers < self.described).sum()][:paths]
 
-    def albedo(self, y: int, x: int, size: int, first: int, count: int) -> Tensor:
-        """Mean albedo [3, h, w] of a crop over samples but [first, first + count); NaN if these are more than half."""
+        def read(name: str, chosen: NDArray[np.intp]) -> Tensor:
+            stored = self.tensor(name)  # indexed by one number at a time: safetensors takes no lists
+            values = np.stack([stored[self.number, int(sample), :, *inside] for sample in chosen])
+            return torch.nan_to_num(torch.from_numpy(values), 0.0, 0.0, 0.0)
+
+        inputs = {name: read(name, numbers).float() for name in SAMPLE_NAMES}
+        if len(described):
+            inputs["samples.descriptor"] = read("samples.descriptor", described)
+            inputs["samples.density"] = read("samples.density", described)
+        reference = {
+            name.removeprefix("reference."): torch.nan_to_num(
+                torch.from_numpy(self.tensor(name)[:, *whole]), 0.0, 0.0, 0.0
+            )
+            for name in REFERENCE_NAMES
+        }
+        return inputs, reference
+
+    def albedo(self, y: int, x: int, size: int, numbers: NDArray[np.intp]) -> Tensor:
+        """Mean albedo [3, h, w] of a crop over all samples but `numbers`; NaN if these are more than half."""
         inside = slice(y, min(y + size, self.side)), slice(x, min(x + size, self.side))
-        if 2 * count > self.samples:
+        if 2 * len(numbers) > self.samples:
             return torch.full((3, *(s.stop - s.start for s in inside)), math.nan)
         tensor = self.tensor("samples.albedo")
-        others = [slice(a, b) for a, b in ((0, first), (first + count, self.samples)) if a < b]
-        values = np.concatenate([tensor[self.number, part, :, *inside] for part in others])
+        others = np.setdiff1d(np.arange(self.samples), numbers)
+        values = np.stack([tensor[self.number, int(sample), :, *inside] for sample in others])
         return torch.nan_to_num(torch.from_numpy(values).float(), 0.0, 0.0, 0.0).mean(0)
 
 
@@ -195,11 +207,11 @@ class Crops(IterableDataset):
     def draw(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
         low, high = (math.log2(min(number, view.samples)) for number in (self.data.spp_min, self.data.spp_max))
         number = round(2 ** rng.uniform(low, high))
-        first = int(rng.integers(view.samples - number + 1))
+        numbers = view.draw(number, self.paths, rng)
         y, x = view.corner(size, rng)
-        samples, reference = view.crop(y, x, size, first, number, self.paths)
+        samples, reference = view.crop(y, x, size, numbers, self.paths)
         if self.albedo:
-            reference["albedo"] = view.albedo(y, x, size, first, number)
+            reference["albedo"] = view.albedo(y, x, size, numbers)
         if self.data.cleaned:
             reference["cleaned"] = view.cleaned[:, y : y + size, x : x + size]
         augment(samples, reference, rng, self.data.normal_turn)
@@ -219,7 +231,7 @@ class ValidationViews(Dataset):
 
     def __getitem__(self, index: int) -> Batch:
         view = self.views[index]
-        samples, reference = view.crop(0, 0, view.side, 0, min(self.spp, view.samples), self.paths)
+        samples, reference = view.crop(0, 0, view.side, np.arange(min(self.spp, view.samples)), self.paths)
         return collate([(frame_inputs(samples, view.exposure, view.depth_scale), reference)])
 
 

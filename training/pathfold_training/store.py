@@ -6,7 +6,8 @@ DIR/references/<id>.safetensors  the whole view, float32 [C, H, W]: reference.co
                                  .half_a.color, .half_b.color; importance [H, W], weights of mean 1 for drawing crops.
 DIR/samples/<id>.safetensors     a shard with N crops of the view, [N, S, C, h, w]. float32: samples.radiance, .diffuse,
                                  .depth, .density; float16: samples.diffuse.albedo, .albedo, .normal, .descriptor.
-                                 `crops` in the index says where they lie: [[y, x], ...]. May be deleted to save space.
+                                 `crops` in the index says where they lie: [[y, x], ...]. .density and .descriptor are
+                                 of the first `described` of S samples. May be deleted to save space.
 
 Tensors are C-contiguous, so a crop of a few samples touches little of the file.
 """
@@ -32,7 +33,7 @@ FORMAT = 2
 REFERENCES, SAMPLES = KINDS = "references", "samples"
 OWN = {  # the facts of a line that belong to a kind of file: what its latest one says counts
     REFERENCES: ("reference_spp", "reference_rell2", "exposure", "depth_scale", "budget"),
-    SAMPLES: ("spp",),
+    SAMPLES: ("spp", "described"),
 }
 OPEN_FILES = 128
 

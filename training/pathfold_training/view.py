@@ -18,6 +18,7 @@ from .store import KINDS, REFERENCES, SAMPLES, Arrays, Line
 
 LIBRARY_DEPTH = 6  # scenes of a library state depths up to 65; one value keeps the data alike, and cost grows with it
 LANES = 1 << 22  # samples traced in one call
+DESCRIBED = 16  # samples of a pixel whose paths are kept: most of the bytes, and networks look at few of them
 BUSY = threading.Lock()  # Mitsuba's variant and its threads belong to the process: one view at a time
 
 
@@ -97,7 +98,7 @@ def _render(task: Task, scene: Any, line: Line) -> tuple[Line, Arrays]:
         line = line | {"crop": crop, "crops": corners}
     if SAMPLES in task.kinds:
         tensors |= _samples(scene, task, line)
-        line = line | {"spp": task.spp}
+        line = line | {"spp": task.spp, "described": min(task.spp, DESCRIBED)}
     return line, tensors
 
 
@@ -113,7 +114,10 @@ def choose_crops(weight: NDArray[Any], side: int, count: int, seed: NDArray[np.u
 
 
 def _samples(scene: Any, task: Task, line: Line) -> Arrays:
-    """Noisy samples of the view's crops, [N, S, C, h, w]; equal tasks give equal samples."""
+    """Noisy samples of the view's crops, [N, S, C, h, w], paths of at most DESCRIBED; equal tasks give equal samples.
+
+    All paths are traced alike: a second kernel, for those that are not kept, takes longer to compile than it saves.
+    """
     from pathfold.mitsuba import trace
 
     from .scenes import cameras
@@ -127,7 +131,8 @@ def _samples(scene: Any, task: Task, line: Line) -> Arrays:
         for first in range(0, task.spp, chunk):
             seed = int(entropy(task.seed, task.id, "samples", number, first)[0])
             parts.append(trace(scene, min(chunk, task.spp - first), seed, line["max_depth"]))
-        crops.append({name: np.concatenate([_plane(part, name) for part in parts]) for name in SAMPLE_TYPES})
+        crop = {name: np.concatenate([_plane(part, name) for part in parts]) for name in SAMPLE_TYPES}
+        crops.append(crop | {name: crop[name][:DESCRIBED] for name in ("descriptor", "density")})
     return {f"samples.{name}": np.stack([crop[name] for crop in crops]) for name in SAMPLE_TYPES}
 
 
