@@ -12,6 +12,7 @@ from pathfold_training.losses import (
     energy_error,
     geometric,
     manifold_loss,
+    median3x3,
     robust_relative,
     tone_map,
     unbiased_relative,
@@ -232,3 +233,11 @@ def test_the_unbiased_loss_pulls_towards_the_mean_of_noisy_references() -> None:
     output = torch.full_like(reference, 1.0, requires_grad=True)
     robust_relative(output, reference, torch.ones_like(reference)).mean().backward()
     assert float(output.grad.sum()) > 0.1  # the robust one would darken it
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (9, 12)])
+def test_median_of_3x3_is_the_middle_one(size: tuple[int, int]) -> None:
+    image = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(1)).round(decimals=1)  # some are equal
+    padded = torch.nn.functional.pad(image, (1, 1, 1, 1), mode="replicate")
+    expected = padded.unfold(2, 3, 1).unfold(3, 3, 1).flatten(4).median(-1).values
+    torch.testing.assert_close(median3x3(image), expected, rtol=0, atol=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from pathfold.report.peers import oidn_prefiltered
+from pathfold.report import peers
 
 from .losses import RELATIVE_EPSILON
 
@@ -22,20 +22,20 @@ def cleaned(a: Image, b: Image, albedo: Image, normal: Image, exposure: float) -
     their mean stays. Raises ModuleNotFoundError without pyoidn.
     """
     mean: Image = (a + b) * np.float32(0.5)
-    result = denoised(mean, albedo, normal)
+    guides = peers.prefiltered(rows(albedo), rows(normal))
+    result, smooth_a, smooth_b = (peers.oidn_clean(rows(x), *guides).transpose(2, 0, 1) for x in (mean, a, b))
     scale = np.square(result) + RELATIVE_EPSILON / exposure**2
     variance = np.square(a - b) / 2
-    crossed = sum(np.square(denoised(x, albedo, normal) - y) for x, y in ((a, b), (b, a))) / 2
+    crossed = (np.square(smooth_a - b) + np.square(smooth_b - a)) / 2
     bias = np.maximum(box((crossed - variance) / scale), 0.0)
     noise = box(variance / 2 / scale)
     share = bias / np.maximum(bias + noise, 1e-12)
     return (result + share * (mean - result)).astype(np.float32)
 
 
-def denoised(*images: Image) -> Image:
-    """OIDN at its best: color, albedo and normal [3, H, W] -> color."""
-    color, albedo, normal = (np.ascontiguousarray(image.transpose(1, 2, 0), np.float32) for image in images)
-    return oidn_prefiltered(color, albedo, normal).transpose(2, 0, 1)
+def rows(image: Image) -> Image:
+    """[3, H, W] -> H x W x 3."""
+    return np.ascontiguousarray(image.transpose(1, 2, 0), np.float32)
 
 
 def box(x: Image) -> Image:

@@ -24,9 +24,25 @@ def error_scale(reference: Tensor) -> Tensor:
     underestimates (bias table in the design); dividing by a mean would excuse light that leaks from an emitter
     into the dark pixels beside it, which makes most of RelL2.
     """
-    padded = functional.pad(reference, (1, 1, 1, 1), mode="replicate")
-    median = padded.unfold(2, 3, 1).unfold(3, 3, 1).flatten(4).median(-1).values
-    return torch.sqrt(median.square() + RELATIVE_EPSILON)
+    return torch.sqrt(median3x3(reference).square() + RELATIVE_EPSILON)
+
+
+def median3x3(image: Tensor) -> Tensor:
+    """Median of the 3x3 pixels around each, B x C x H x W, edges repeated; ten times as fast as torch.median of them.
+
+    Of columns that are sorted it is the median of three: the largest least, the median median, the least largest.
+    """
+    padded = functional.pad(image, (1, 1, 1, 1), mode="replicate")
+    a, b, c = padded[:, :, :-2], padded[:, :, 1:-1], padded[:, :, 2:]
+    low, high = torch.minimum(a, b), torch.maximum(a, b)
+    columns = torch.minimum(low, c), torch.maximum(low, torch.minimum(high, c)), torch.maximum(high, c)
+    (l0, l1, l2), middles, (h0, h1, h2) = ((x[..., :-2], x[..., 1:-1], x[..., 2:]) for x in columns)
+    return middle(torch.maximum(torch.maximum(l0, l1), l2), middle(*middles), torch.minimum(torch.minimum(h0, h1), h2))
+
+
+def middle(a: Tensor, b: Tensor, c: Tensor) -> Tensor:
+    """The median of three, element by element."""
+    return torch.maximum(torch.minimum(a, b), torch.minimum(torch.maximum(a, b), c))
 
 
 def robust_relative(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:

@@ -22,8 +22,17 @@ def oidn_fast(color: Image, albedo: Image | None, normal: Image | None, scale: f
 
 def oidn_prefiltered(color: Image, albedo: Image | None, normal: Image | None, scale: float | None = None) -> Image:
     """Quality high with guides denoised first and `cleanAux`: its best."""
-    guides = (_prefiltered("albedo", albedo), _prefiltered("normal", normal))
-    return _denoise(color, *guides, scale, clean=albedo is not None)
+    return oidn_clean(color, *prefiltered(albedo, normal), scale)
+
+
+def prefiltered(albedo: Image | None, normal: Image | None) -> tuple[Image | None, Image | None]:
+    """The guides, denoised by themselves."""
+    return _prefiltered("albedo", albedo), _prefiltered("normal", normal)
+
+
+def oidn_clean(color: Image, albedo: Image | None, normal: Image | None, scale: float | None = None) -> Image:
+    """Quality high with guides that are free of noise."""
+    return _denoise(color, albedo, normal, scale, clean=albedo is not None)
 
 
 def keep_torch_out() -> None:
