@@ -266,31 +266,28 @@ void Pyramid::filter(Threads &threads, const PyramidLogits &logits, int l, const
                      float *known) {
     const Level &cells = level_[std::max(l, 1)]; // the finest level's logits lie in the cells of the next
     const size_t plane = size_t(cells.width) * cells.height;
-    threads.execute([&] {
-        using Rows = oneapi::tbb::blocked_range<int>;
-        oneapi::tbb::parallel_for(Rows(area.y, area.y + area.height), [&](const Rows &rows) {
-            PyramidScratch scratch(planes_);
-            for (int y = rows.begin(); y != rows.end(); ++y) {
-                PyramidRow row;
-                row.level = &level_[l];
-                row.coarser = l + 1 < count_ ? &level_[l + 1] : nullptr;
-                row.planes = planes_, row.y = y, row.begin = area.x, row.end = area.x + area.width;
-                if (l == 0) {
-                    row.logits = logits.levels[0] + size_t(y % 2) * 2 * plane + size_t(y / 2) * cells.width;
-                    row.logit_stride = 4 * plane, row.phase_stride = plane;
-                    row.result = result + size_t(y - area.y) * area.width - area.x;
-                    row.result_stride = size_t(area.width) * area.height;
-                    row.known = known == nullptr ? nullptr : known + size_t(y - area.y) * area.width - area.x;
-                } else {
-                    row.logits = logits.levels[l] + size_t(y) * cells.width;
-                    row.logit_stride = plane;
-                    row.result = level_[l].result_row(0, y);
-                    row.result_stride = level_[l].plane_stride();
-                    row.known = level_[l].result_row(planes_, y);
-                }
-                HWY_DYNAMIC_DISPATCH(FilterRow)(row, scratch);
+    for_row_blocks(threads, area.y, area.y + area.height, [&](int begin, int end) {
+        PyramidScratch scratch(planes_);
+        for (int y = begin; y != end; ++y) {
+            PyramidRow row;
+            row.level = &level_[l];
+            row.coarser = l + 1 < count_ ? &level_[l + 1] : nullptr;
+            row.planes = planes_, row.y = y, row.begin = area.x, row.end = area.x + area.width;
+            if (l == 0) {
+                row.logits = logits.levels[0] + size_t(y % 2) * 2 * plane + size_t(y / 2) * cells.width;
+                row.logit_stride = 4 * plane, row.phase_stride = plane;
+                row.result = result + size_t(y - area.y) * area.width - area.x;
+                row.result_stride = size_t(area.width) * area.height;
+                row.known = known == nullptr ? nullptr : known + size_t(y - area.y) * area.width - area.x;
+            } else {
+                row.logits = logits.levels[l] + size_t(y) * cells.width;
+                row.logit_stride = plane;
+                row.result = level_[l].result_row(0, y);
+                row.result_stride = level_[l].plane_stride();
+                row.known = level_[l].result_row(planes_, y);
             }
-        });
+            HWY_DYNAMIC_DISPATCH(FilterRow)(row, scratch);
+        }
     });
 }
 

@@ -161,13 +161,10 @@ int Neighbourhood::invalid_taps(int x, int y, int count) const {
 void gather(Threads &threads, const Logits &logits, const Neighbourhood &source, float *result) {
     const size_t size = 2 * size_t(source.radius()) + 1;
     const size_t scratch_size = size * size * gather_block;
-    threads.execute([&] {
-        using Rows = oneapi::tbb::blocked_range<int>;
-        oneapi::tbb::parallel_for(Rows(0, source.height()), [&](const Rows &rows) {
-            std::vector<float> scratch(scratch_size);
-            for (int y = rows.begin(); y != rows.end(); ++y)
-                HWY_DYNAMIC_DISPATCH(GatherRow)(logits, source, y, scratch.data(), result);
-        });
+    for_row_blocks(threads, 0, source.height(), [&](int begin, int end) {
+        std::vector<float> scratch(scratch_size);
+        for (int y = begin; y != end; ++y)
+            HWY_DYNAMIC_DISPATCH(GatherRow)(logits, source, y, scratch.data(), result);
     });
 }
 
