@@ -31,7 +31,7 @@ from .halves import narrow, widen
 GRAPH, FILE = "network", "network.int8.onnx"  # what is quantised, and where it is written
 BODY = ("down.", "project.", "up.")  # its layers
 FP32 = ("down.0.0",)  # but for these: what it reads has the widest range, and costs most to round
-CROPS = 48  # to calibrate on
+CROPS = 96  # to calibrate on
 FIREFLY, FIREFLY_EVERY = 1e8, 7  # exposed radiance of one pixel in every seventh of them
 VIEWS, SPPS = 16, (2, 8)  # to measure on: held-out windows at most, samples per pixel
 BOUND = 1.02  # of RelL2 over that of fp32
