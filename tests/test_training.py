@@ -216,7 +216,7 @@ def test_samples_are_any_subset_and_begin_with_those_whose_paths_are_stored(tmp_
     line = json.loads((write_data_set(tmp_path / "data", 1) / "index.jsonl").read_text())
     view = View(line | {"described": 3}, stored.__getitem__, 0)
     rng = np.random.default_rng(1)
-    drawn = [view.draw(count, 2, rng) for count in (1, 2, 5, 8) for _ in range(50)]
+    drawn = [view.subset(count, 2, rng) for count in (1, 2, 5, 8) for _ in range(50)]
     for numbers in drawn:
         assert len(set(numbers)) == len(numbers) and (numbers[:2] < 3).all()
     assert len({frozenset(numbers) for numbers in drawn[100:150]}) > 15

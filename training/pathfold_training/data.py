@@ -106,7 +106,7 @@ class View:
         most = max(0, self.side - size)
         return int(np.clip(y - size // 2, 0, most)), int(np.clip(x - size // 2, 0, most))
 
-    def draw(self, count: int, paths: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    def subset(self, count: int, paths: int, rng: np.random.Generator) -> NDArray[np.intp]:
         """Numbers of `count` samples, any subset; paths are stored of the first `paths`, or of as many as can be."""
         head = rng.choice(self.described, min(count, paths, self.described), replace=False)
         others = np.setdiff1d(np.arange(self.samples), head)
@@ -207,7 +207,7 @@ class Crops(IterableDataset):
     def draw(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
         low, high = (math.log2(min(number, view.samples)) for number in (self.data.spp_min, self.data.spp_max))
         number = round(2 ** rng.uniform(low, high))
-        numbers = view.draw(number, self.paths, rng)
+        numbers = view.subset(number, self.paths, rng)
         y, x = view.corner(size, rng)
         samples, reference = view.crop(y, x, size, numbers, self.paths)
         if self.albedo:

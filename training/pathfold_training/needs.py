@@ -21,11 +21,16 @@ def samples_without_paths(task: Denoising, views: Sequence[View]) -> int | None:
     The ratio is the geometric mean over at most VIEWS of `views`, at 2, 4, 8, ... samples per pixel as far as all of
     these have them.
     """
-    views = views[:: -(-len(views) // VIEWS)]
+    views = some(views)
     most = min(view.samples for view in views)
     levels = [2**i for i in range(1, int(math.log2(most)) + 1)]
     paths = task.config.network.path_samples
     return least(levels, [ratio(task, ValidationViews(views, paths, spp)) for spp in levels])
+
+
+def some(views: Sequence[View]) -> Sequence[View]:
+    """VIEWS of the views at most, evenly spread."""
+    return views[:: -(-len(views) // VIEWS)]
 
 
 def least(levels: Sequence[int], ratios: Sequence[float]) -> int | None:

@@ -27,13 +27,14 @@ from .config import Config
 from .data import Batch, Crops, Inputs, Stored, ValidationViews
 from .export import sha256
 from .halves import narrow, widen
+from .needs import some
 
 GRAPH, FILE = "network", "network.int8.onnx"  # what is quantised, and where it is written
 BODY = ("down.", "project.", "up.")  # its layers
 FP32 = ("down.0.0",)  # but for these: what it reads has the widest range, and costs most to round
 CROPS = 96  # to calibrate on
 FIREFLY, FIREFLY_EVERY = 1e8, 7  # exposed radiance of one pixel in every seventh of them
-VIEWS, SPPS = 16, (2, 8)  # to measure on: held-out windows at most, samples per pixel
+SPPS = (2, 8)  # samples per pixel to measure on
 BOUND = 1.02  # of RelL2 over that of fp32
 MOST_BYTES = 8_000_000  # of a folder's graphs: models come with every installation
 Feeds = dict[str, NDArray[np.float32]]
@@ -46,8 +47,7 @@ def add_int8(folder: Path, data: Stored) -> str:
     """
     with TemporaryDirectory() as scratch:
         trial = quantised_copy(folder, Path(scratch), data)
-        every = data.held_out()
-        views = every[:: -(-len(every) // VIEWS)]
+        views = some(data.held_out())
         paths = trained_as(trial).network.path_samples
         error = geometric([ratio for spp in SPPS for ratio in ratios(trial, ValidationViews(views, paths, spp))])
         size = sum(path.stat().st_size for path in trial.glob("*.onnx"))

@@ -124,7 +124,7 @@ def normalised(sums: Tensor) -> tuple[Tensor, Tensor]:
 
 def weigh_taps(weights: Tensor, source: Tensor, taps: list[tuple[int, int]], radius: int) -> Tensor:
     """sum_t weights[:, t] * source shifted by taps[t] - radius: B x T x h x w, B x C x h x w -> B x C x h x w."""
-    # plane by plane: of weights in channels_last every tap would be a stride of its own, three times as slow
+    # plane by plane: of weights in channels_last every tap would be strided, which is much slower
     return _WeighTaps.apply(weights.contiguous(), functional.pad(source, (radius,) * 4).contiguous(), taps)
 
 
