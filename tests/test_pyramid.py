@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from pathfold import _core
 from pathfold.models import ALL_SAMPLES
 from pathfold_training.config import Config, Data, Loss, Optimiser, Pyramid, load_preset
 from pathfold_training.data import Crops, Stored
@@ -17,7 +18,13 @@ from pathfold_training.networks.pathfold import (
     overlap,
     reconstruct,
 )
-from pathfold_training.networks.reconstruct import _WeighTaps, gather_factor, gather_pyramid
+from pathfold_training.networks.reconstruct import (
+    KERNEL_TAPS,
+    _WeighTaps,
+    gather_factor,
+    gather_pyramid,
+    level_sums,
+)
 from pathfold_training.score import load
 from pathfold_training.task import Denoising
 from training_data import write_data_set
@@ -103,6 +110,37 @@ def test_trust_alone_removes_a_firefly() -> None:
     assert gather_pyramid(trust, levels, source).max() > 100
     trust[:, :, 9, 12] = -50.0  # clamped to -9
     assert gather_pyramid(trust, levels, source).max() < 1.1
+
+
+@pytest.mark.parametrize(("height", "width"), [(48, 64), (21, 35), (3, 2), (1, 1)])
+@pytest.mark.parametrize("coarsest", [False, True])
+def test_the_fast_sums_of_a_level_and_their_gradients_are_the_others(height: int, width: int, coarsest: bool) -> None:
+    g = torch.Generator().manual_seed(3)
+    random = [
+        torch.randn((2, channels, height, width), generator=g, dtype=torch.float64)
+        for channels in ((25, 4) if coarsest else (30, 4, 4))
+    ]
+    random[0] *= 6.0  # some beyond the limit of 10
+    results = []
+    for dtype in (torch.float64, torch.float32):
+        given = [x.to(dtype).requires_grad_() for x in random]
+        sums = level_sums(*given)
+        weighted = sum(
+            (part * torch.arange(1.0, part.shape[1] + 1).reshape(1, -1, 1, 1)).square().sum() for part in sums
+        )
+        results.append([*sums, *torch.autograd.grad(weighted, given)])
+    assert len(results[0]) == (3 if coarsest else 6)
+    for slow, fast in zip(*results, strict=True):
+        assert fast.dtype == torch.float32
+        torch.testing.assert_close(fast.double(), slow, rtol=1e-5, atol=1e-6 * float(slow.abs().max()))
+
+
+def test_taps_outside_of_what_is_given_are_refused() -> None:
+    logits, source = np.zeros((1, 25, 4, 4), np.float32), np.zeros((1, 4, 8, 7), np.float32)
+    with pytest.raises(_core.PathfoldError, match=r"the tap at \(0, 4\) reaches beyond the source"):
+        _core.sum_taps(logits, 0, source, KERNEL_TAPS, 1)
+    with pytest.raises(_core.PathfoldError, match="one for each offset"):
+        _core.sum_taps(logits, 1, source, KERNEL_TAPS, 1)
 
 
 def naive(trust: np.ndarray, levels: list[np.ndarray], source: np.ndarray) -> np.ndarray:

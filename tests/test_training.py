@@ -1,6 +1,7 @@
 """Training end to end on a tiny data set: exact resume, warm start, the batch stream."""
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from pathfold.models import ALL_SAMPLES
-from pathfold_training import cli
+from pathfold_training import cli, data
 from pathfold_training.config import Config, Data, Loss, Network, Optimiser
 from pathfold_training.data import (
     PATH_NAMES,
@@ -194,8 +195,24 @@ def test_the_albedo_is_told_by_samples_that_were_not_given(data_set: Path) -> No
     stored = view.tensor("samples.albedo")[view.number].astype(np.float32)[:, :, 2:10, 4:12]
     for given in ([0], [5, 1], [view.samples - 1, 0, 3]):
         others = np.delete(stored, given, 0).mean(0)
-        np.testing.assert_allclose(view.albedo(2, 4, 8, np.array(given)).numpy(), others, rtol=1e-3, atol=1e-4)
-    assert view.albedo(2, 4, 8, np.arange(view.samples // 2 + 1)).isnan().all()
+        own = torch.from_numpy(stored[given])
+        np.testing.assert_allclose(view.albedo(2, 4, own).numpy(), others, rtol=1e-5, atol=1e-6)
+    assert view.albedo(2, 4, torch.from_numpy(stored[: view.samples // 2 + 1])).isnan().all()
+
+
+def test_cleaned_references_are_kept_until_the_view_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_data_set(tmp_path / "data", 2)
+    calls = []
+    monkeypatch.setattr(data, "cleaned", lambda a, *_: calls.append(1) or np.full_like(a, len(calls)))
+    assert float(Stored(folder).train[0].cleaned.mean()) == 1.0
+    again = Stored(folder).train[0].cleaned
+    assert again.shape == (3, 40, 40) and float(again.mean()) == 1.0 and len(calls) == 1
+    line = json.loads((folder / "index.jsonl").read_text().splitlines()[0])
+    append_line(folder, write(folder, line, {n: v + 1.0 for n, v in view_tensors(0).items()}))
+    assert float(Stored(folder).train[0].cleaned.mean()) == 2.0
+    shutil.rmtree(folder / "cleaned")
+    (folder / "cleaned").write_text("where nothing can be kept")
+    assert float(Stored(folder).train[0].cleaned.mean()) == 3.0
 
 
 def test_paths_of_the_first_samples_alone_are_read(data_set: Path) -> None:
@@ -242,16 +259,21 @@ def test_variance_is_of_the_pixel_mean() -> None:
 
 
 def test_augmentation_turns_everything_alike() -> None:
-    samples = {"samples.radiance": torch.rand(2, 3, 6, 6), "samples.normal": torch.rand(2, 3, 6, 6)}
-    samples["samples.descriptor"] = torch.rand(2, 36, 6, 6)
-    samples["samples.descriptor"][:, :3] = samples["samples.radiance"]  # a triple that must stay aligned
-    reference = {"color": samples["samples.radiance"].mean(0)}
-    length = samples["samples.normal"].square().sum(1).sum()
+    inputs = {
+        "samples.descriptor": torch.rand(2, 36, 6, 6),
+        "normal": torch.rand(3, 6, 6),
+        "exposure": torch.tensor(2.0),
+    }
+    inputs["color"] = inputs["samples.descriptor"][:, :3].mean(0)  # a triple that must stay aligned
+    reference = {"color": inputs["color"]}
+    first, length = inputs["color"], inputs["normal"].square().sum()
     for seed in range(8):
-        augment(samples, reference, np.random.default_rng(seed), normal_turn=0.5)
-        torch.testing.assert_close(samples["samples.radiance"].mean(0), reference["color"])
-        torch.testing.assert_close(samples["samples.descriptor"][:, :3], samples["samples.radiance"])
-    torch.testing.assert_close(samples["samples.normal"].square().sum(1).sum(), length)
+        augment(inputs, reference, np.random.default_rng(seed), normal_turn=0.5)
+        torch.testing.assert_close(inputs["color"], reference["color"])
+        torch.testing.assert_close(inputs["samples.descriptor"][:, :3].mean(0), inputs["color"])
+    assert not torch.equal(inputs["color"], first)
+    torch.testing.assert_close(inputs["normal"].square().sum(), length)
+    assert float(inputs["exposure"]) == 2.0
 
 
 def test_one_sample_has_no_variance() -> None:

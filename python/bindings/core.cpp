@@ -14,6 +14,7 @@
 #include <pybind11/stl.h>
 
 #include "pathfold/pathfold.hpp"
+#include "taps.h"
 
 namespace py = pybind11;
 
@@ -216,6 +217,53 @@ auto manifest_entry(const char *key) {
     return [key](const pathfold::Model &model) { return py::object(parse_json(model.manifest())[key]); };
 }
 
+using Floats = py::array_t<float, py::array::c_style>;
+using Offsets = std::vector<std::pair<size_t, size_t>>;
+
+/// Checks shapes: logits [B][C][h][w], source [B][4][H][W], an offset (y, x) for each logit from `first` on.
+pathfold::training::Taps taps_of(const Floats &logits, size_t first, const Floats &source,
+                                 const Offsets &offsets) {
+    pathfold::training::Taps taps;
+    if (logits.ndim() != 4 || source.ndim() != 4 || logits.shape(0) != source.shape(0) ||
+        size_t(logits.shape(1)) < first + offsets.size() || source.shape(1) != py::ssize_t(taps.planes))
+        invalid("logits must be B x C x h x w, one for each offset, and source B x 4 x H x W");
+    taps.images = size_t(logits.shape(0)), taps.channels = size_t(logits.shape(1)), taps.first = first;
+    taps.height = size_t(logits.shape(2)), taps.width = size_t(logits.shape(3));
+    taps.rows = size_t(source.shape(2)), taps.stride = size_t(source.shape(3));
+    for (const auto &[y, x] : offsets) {
+        if (taps.height + y > taps.rows || taps.width + x > taps.stride)
+            invalid("the tap at (" + std::to_string(y) + ", " + std::to_string(x) +
+                    ") reaches beyond the source");
+        taps.offsets.push_back(y * taps.stride + x);
+    }
+    return taps;
+}
+
+Floats sum_taps(const Floats &logits, size_t first, const Floats &source, const Offsets &offsets,
+                int threads) {
+    const auto taps = taps_of(logits, first, source, offsets);
+    Floats sums({taps.images, taps.planes, taps.height, taps.width});
+    float *to = sums.mutable_data();
+    py::gil_scoped_release release;
+    pathfold::training::sum_taps(taps, threads, logits.data(), source.data(), to);
+    return sums;
+}
+
+Floats spread_taps(const Floats &logits, size_t first, const Floats &source, const Floats &gradient,
+                   Floats &of_logits, const Offsets &offsets, int threads) {
+    const auto taps = taps_of(logits, first, source, offsets);
+    if (size_t(gradient.size()) != taps.images * taps.planes * taps.height * taps.width)
+        invalid("gradient must be B x 4 x h x w");
+    if (of_logits.size() != logits.size())
+        invalid("of_logits must be of the shape of logits");
+    Floats of_source(std::vector<py::ssize_t>(source.shape(), source.shape() + 4));
+    float *to_logits = of_logits.mutable_data(), *to_source = of_source.mutable_data();
+    py::gil_scoped_release release;
+    pathfold::training::spread_taps(taps, threads, logits.data(), source.data(), gradient.data(), to_logits,
+                                    to_source);
+    return of_source;
+}
+
 } // namespace
 
 PYBIND11_MODULE(_core, module) {
@@ -265,4 +313,15 @@ PYBIND11_MODULE(_core, module) {
                "The exposure that a run would choose for a height x width x 3 image.");
     module.def("gather", &gather, py::arg("image"), py::arg("logits"),
                "Applies kernels, softmax(logits) with logits [size * size, height, width], to an image.");
+    module.def(
+        "sum_taps", &sum_taps, py::arg("logits"), py::arg("first"), py::arg("source"), py::arg("offsets"),
+        py::arg("threads"),
+        "For training: sums [B, 4, h, w] over taps of exp(clamp(logit, -10, 10) - 5) * source, each at its "
+        "offset (y, x) from the pixel. logits [B, C, h, w] from channel `first` on, source [B, 4, H, W], "
+        "float32.");
+    module.def(
+        "spread_taps", &spread_taps, py::arg("logits"), py::arg("first"), py::arg("source"),
+        py::arg("gradient"), py::arg("of_logits").noconvert(), py::arg("offsets"), py::arg("threads"),
+        "The gradient of sum_taps for its source from that for its sums; that for its logits is written "
+        "into of_logits.");
 }

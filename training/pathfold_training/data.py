@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import count
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset, IterableDataset
 
+from . import store
 from .clean import cleaned
 from .config import Data
 from .features import OPTIONAL
@@ -64,7 +67,9 @@ class Stored:
                 "'train'; render some 30 scenes with 'pathfold-train render'"
             )
         return [
-            View(line, partial(self.store.tensor, line["id"]), n) for line in lines for n in range(len(line["crops"]))
+            View(line, partial(self.store.tensor, line["id"]), n, store.cleaned_path(self.store.folder, line, n))
+            for line in lines
+            for n in range(len(line["crops"]))
         ]
 
     def __call__(self, step: int) -> list[View]:
@@ -72,10 +77,13 @@ class Stored:
 
 
 class View:
-    """A window of a view that samples were kept of. `tensor` gives the view's tensors by name; what is cut is read."""
+    """A window of a view that samples were kept of. `tensor` gives the view's tensors by name; what is cut is read.
 
-    def __init__(self, line: Line, tensor: Callable[[str], Any], number: int) -> None:
-        self.tensor, self.number, self.scene = tensor, number, str(line["scene"])
+    `kept` is the file that its cleaned reference is kept in.
+    """
+
+    def __init__(self, line: Line, tensor: Callable[[str], Any], number: int, kept: Path | None = None) -> None:
+        self.tensor, self.number, self.scene, self.kept = tensor, number, str(line["scene"]), kept
         self.samples: int = line["spp"]
         self.described: int = line.get("described") or self.samples  # data sets kept all paths at first
         self.side = line["crop"]
@@ -90,14 +98,31 @@ class View:
 
     @cached_property
     def cleaned(self) -> Tensor:
-        """The window's reference [3, H, W] by clean.cleaned; takes a quarter of a second for 128 x 128 pixels, once."""
+        """The window's reference [3, H, W] by clean.cleaned; takes a third of a second for 128 x 128 pixels, once."""
+        if self.kept and self.kept.is_file():
+            return torch.from_numpy(np.load(self.kept))
         y, x = slice(self.top, self.top + self.side), slice(self.left, self.left + self.side)
         a, b = (np.nan_to_num(self.tensor(f"reference.half_{name}.color")[:, y, x], posinf=0.0) for name in "ab")
         albedo, normal = (
             np.nan_to_num(self.tensor(f"samples.{name}")[self.number].astype(np.float32).mean(0), posinf=0.0)
             for name in ("albedo", "normal")
         )
-        return torch.from_numpy(cleaned(a, b, albedo, normal, self.exposure))
+        result = cleaned(a, b, albedo, normal, self.exposure)
+        if self.kept:
+            content = io.BytesIO()
+            np.save(content, result)
+            with suppress(OSError):  # a data set that cannot be written to is cleaned by every run
+                store.write_whole(self.kept, content.getvalue())
+        return torch.from_numpy(result)
+
+    @cached_property
+    def albedo_sum(self) -> Tensor:
+        """Sum of all samples' albedo [3, H, W], float32."""
+        stored = self.tensor("samples.albedo")
+        total = torch.zeros(3, self.side, self.side)
+        for sample in range(self.samples):
+            total += torch.nan_to_num(torch.from_numpy(stored[self.number, sample]), 0.0, 0.0, 0.0)
+        return total
 
     def corner(self, size: int, rng: np.random.Generator) -> tuple[int, int]:
         """Top left of a crop whose centre is drawn by importance, moved inside the window."""
@@ -139,15 +164,12 @@ class View:
         }
         return inputs, reference
 
-    def albedo(self, y: int, x: int, size: int, numbers: NDArray[np.intp]) -> Tensor:
-        """Mean albedo [3, h, w] of a crop over all samples but `numbers`; NaN if these are more than half."""
-        inside = slice(y, min(y + size, self.side)), slice(x, min(x + size, self.side))
-        if 2 * len(numbers) > self.samples:
-            return torch.full((3, *(s.stop - s.start for s in inside)), math.nan)
-        tensor = self.tensor("samples.albedo")
-        others = np.setdiff1d(np.arange(self.samples), numbers)
-        values = np.stack([tensor[self.number, int(sample), :, *inside] for sample in others])
-        return torch.nan_to_num(torch.from_numpy(values).float(), 0.0, 0.0, 0.0).mean(0)
+    def albedo(self, y: int, x: int, own: Tensor) -> Tensor:
+        """Mean albedo [3, h, w] of a crop over all samples but its `own`, S x 3 x h x w; NaN if these are over half."""
+        if 2 * len(own) > self.samples:
+            return torch.full(own.shape[1:], math.nan)
+        others = self.albedo_sum[:, y : y + own.shape[2], x : x + own.shape[3]] - own.sum(0)
+        return others.clamp(min=0.0) / (self.samples - len(own))
 
 
 def reduce_samples(samples: Inputs) -> Inputs:
@@ -211,11 +233,12 @@ class Crops(IterableDataset):
         y, x = view.corner(size, rng)
         samples, reference = view.crop(y, x, size, numbers, self.paths)
         if self.albedo:
-            reference["albedo"] = view.albedo(y, x, size, numbers)
+            reference["albedo"] = view.albedo(y, x, samples["samples.albedo"])
         if self.data.cleaned:
             reference["cleaned"] = view.cleaned[:, y : y + size, x : x + size]
-        augment(samples, reference, rng, self.data.normal_turn)
-        inputs = frame_inputs(samples, view.exposure * 2 ** rng.uniform(-1.0, 1.0), view.depth_scale)
+        inputs = frame_inputs(samples, view.exposure, view.depth_scale)
+        augment(inputs, reference, rng, self.data.normal_turn)  # of means, not of each sample: it is the same
+        inputs["exposure"] = inputs["exposure"] * 2 ** rng.uniform(-1.0, 1.0)
         drop_inputs(inputs, rng, self.data)
         return inputs, reference
 
@@ -248,8 +271,11 @@ def frame_inputs(samples: Inputs, exposure: float, depth_scale: float) -> Inputs
     return inputs
 
 
-def augment(samples: Inputs, reference: Inputs, rng: np.random.Generator, normal_turn: float) -> None:
-    """Flips, transpose, colour permutation of all that carries colour, and now and then a rotation of the normals."""
+def augment(inputs: Inputs, reference: Inputs, rng: np.random.Generator, normal_turn: float) -> None:
+    """Flips, transpose, colour permutation of all that carries colour, and now and then a rotation of the normals.
+
+    Numbers without height and width stay.
+    """
     flip_x, flip_y, transpose = rng.random(3) < 0.5
     colors = torch.from_numpy(rng.permutation(3))
     turn = torch.eye(3)
@@ -258,13 +284,15 @@ def augment(samples: Inputs, reference: Inputs, rng: np.random.Generator, normal
         turn = turn[[1, 0, 2]]
     if rng.random() < normal_turn:
         turn = torch.from_numpy(np.linalg.qr(rng.standard_normal((3, 3)))[0]).float() @ turn
-    for group in (samples, reference):
+    for group in (inputs, reference):
         for name, value in group.items():
+            if value.dim() < 3:
+                continue
             dims = [d for d, on in ((-1, flip_x), (-2, flip_y)) if on]
             value = value.flip(dims) if dims else value
             value = value.transpose(-1, -2) if transpose else value
-            if name == "samples.normal":
-                value = torch.einsum("ij,sjhw->sihw", turn, value)
+            if name == "normal":
+                value = torch.einsum("ij,jhw->ihw", turn, value)
             elif name == "samples.descriptor":
                 triples = torch.arange(COLORED_LOGS).reshape(-1, 3)[:, colors].flatten()
                 value = value.index_select(1, torch.cat([triples, torch.arange(COLORED_LOGS, value.shape[1])]))

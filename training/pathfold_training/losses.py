@@ -102,7 +102,8 @@ def logit_excess(logits: Tensor) -> Tensor:
     Keeps softmax kernels from saturating, where no gradient leads back. Summed over the taps: a kernel collapses to
     the identity by one logit alone, which a mean over 441 taps would hardly see.
     """
-    return torch.relu(logits.abs() - LOGIT_LIMIT).square().sum(1).mean()
+    excess = functional.softshrink(logits, LOGIT_LIMIT)
+    return excess.to(torch.promote_types(excess.dtype, torch.float32)).square().sum(1).mean()
 
 
 def tone_map(radiance: Tensor) -> Tensor:

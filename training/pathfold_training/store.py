@@ -8,6 +8,8 @@ DIR/samples/<id>.safetensors     a shard with N crops of the view, [N, S, C, h, 
                                  .depth, .density; float16: samples.diffuse.albedo, .albedo, .normal, .descriptor.
                                  `crops` in the index says where they lie: [[y, x], ...]. .density and .descriptor are
                                  of the first `described` of S samples. May be deleted to save space.
+DIR/cleaned/<id>-<n>-<key>.npy   crop n of the reference without most of its noise (clean.py), [3, h, w]; kept by
+                                 training, may be deleted.
 
 Tensors are C-contiguous, so a crop of a few samples touches little of the file.
 """
@@ -36,6 +38,7 @@ OWN = {  # the facts of a line that belong to a kind of file: what its latest on
     SAMPLES: ("spp", "described"),
 }
 OPEN_FILES = 128
+CLEANING = 1  # of clean.py; counts up when that changes
 
 log = logging.getLogger("pathfold.store")
 
@@ -47,6 +50,13 @@ class DamagedFileError(OSError):
 def file_path(folder: Path, kind: str, view: str) -> Path:
     """`kind` is REFERENCES or SAMPLES."""
     return folder / kind / f"{view}.safetensors"
+
+
+def cleaned_path(folder: Path, line: Line, number: int) -> Path:
+    """Where crop `number`'s cleaned reference is kept; another one for other files of the view."""
+    sums = "".join(line["files"][kind]["sha256"] for kind in KINDS)
+    key = hashlib.sha256(f"{CLEANING} {sums}".encode()).hexdigest()[:16]
+    return folder / "cleaned" / f"{line['id']}-{number}-{key}.npy"
 
 
 def write(folder: Path, line: Line, tensors: Arrays) -> Line:

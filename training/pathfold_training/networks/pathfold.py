@@ -188,7 +188,6 @@ class Pathfold(nn.Module):
         """Predict, and apply it to the frames."""
         predicted, paths = self(inputs, counts)
         with torch.autocast(paths.device.type, enabled=False):
-            predicted = predicted._replace(logits=[exact(part) for part in predicted.logits])
             factor = demodulator(inputs) if self.network.demodulate else None
             image, cleaned = reconstruct(predicted, inputs["radiance"], factor)
             return Filtered(image, predicted.logits, paths, cleaned if self.cleans else None)
@@ -216,8 +215,9 @@ def clean_factor(predicted: Prediction, radiance: Tensor, factor: Tensor) -> Ten
 
 def by_level(maps: list[Tensor]) -> list[Tensor]:
     """A Prediction's logits or cleaning, from 1/2 on, as a pyramid's levels: B x 30 x H/2^l x W/2^l from l = 0 on."""
-    fine, half = torch.split(maps[0], [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
-    return [functional.pixel_shuffle(fine, 2), half, *maps[1:]]
+    # rearranged while they are in half precision, and plane by plane: half the time
+    fine, half = torch.split(maps[0].contiguous(), [4 * LEVEL_LOGITS, LEVEL_LOGITS], 1)
+    return [exact(level) for level in (functional.pixel_shuffle(fine, 2), half, *maps[1:])]
 
 
 def demodulator(inputs: dict[str, Tensor]) -> Tensor:
