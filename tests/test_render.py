@@ -322,6 +322,15 @@ def test_the_plan_is_mixed_fixed_by_the_seed_and_splits_whole_scenes() -> None:
     assert 2 <= sum(t.split == "val" for t in first) <= 18
 
 
+def test_views_of_a_generated_scene_share_it_and_its_split() -> None:
+    more, one = render.plan(6, None, 4, 0.5, 3, **SMALL), render.plan(6, None, 4, 0.5, **SMALL)
+    assert len({t.id for t in more}) == len(more) == 18 and {t.id for t in one} < {t.id for t in more}
+    assert len({(t.scene, t.split) for t in more}) == 6
+    pair = sorted((t for t in more if t.scene == more[0].scene and t.number < 2), key=lambda t: t.number)
+    first, second = (view.render_view(t)[0] for t in pair)
+    assert first["scene_seed"] == second["scene_seed"] and first["camera"] != second["camera"]
+
+
 def test_half_error_estimates_the_error_of_the_mean() -> None:
     rng = np.random.default_rng(0)
     truth = rng.uniform(0.2, 1, (64, 64, 3))

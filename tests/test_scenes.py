@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 mi = pytest.importorskip("mitsuba")
+dr = pytest.importorskip("drjit")
 mi.set_variant("llvm_ad_rgb")
 
 from pathfold.mitsuba import trace_mean  # noqa: E402
@@ -342,6 +343,19 @@ def test_varied_bitmaps_stay_bitmaps() -> None:
     assert data.shape == pixels.shape
     assert data.max() > 100  # not mistaken for values in [0, 1]
     assert not np.array_equal(data, pixels)
+
+
+def test_another_camera_needs_no_other_kernels() -> None:
+    scene = library.load(library.scan(LIBRARY)[0])
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        used = []
+        for x in (0.3, -0.2):
+            camera = Camera(np.array([x, -1.0, 0.5]), np.array([x, 0.0, 0.3]), np.array([0, 0, 1.0]), 40 + x, 0.01)
+            cameras.aim(scene, camera, (16, 16))
+            dr.kernel_history_clear()
+            trace_mean(scene, spp=2, seed=1, max_depth=3)
+            used.append([entry["hash"] for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT])
+    assert used[0] == used[1] and used[0]
 
 
 def test_library_cameras_stay_in_free_space_and_differ() -> None:

@@ -31,7 +31,8 @@ Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], typer.Option(help="Mi
 @app.command()
 def render(
     out: Annotated[Path, typer.Option("--out", help="data set folder; views already in it are kept")],
-    procedural: Annotated[int, typer.Option(min=0, help="number of procedural views")] = 0,
+    procedural: Annotated[int, typer.Option(min=0, help="number of generated scenes")] = 0,
+    views: Annotated[int, typer.Option(min=1, help="views of each generated scene")] = 1,
     library: Annotated[Path | None, typer.Option(help="folder of Mitsuba scenes")] = None,
     cameras: Annotated[int, typer.Option(min=1, help="views of each library scene")] = 4,
     budget: Annotated[
@@ -68,7 +69,7 @@ def render(
             f"{out} holds no views to complete, and none are asked for: give --procedural N or --library DIR"
         )
     counts = run(
-        out, procedural, library, budget, seed, size, spp, crop, crops, cameras,
+        out, procedural, library, budget, seed, size, spp, crop, crops, cameras, views,
         workers=workers, cluster=cluster, variant=variant, console=console,
     )  # fmt: skip
     console.print(f"{out}: {counts['done']} views made, {counts['kept']} kept, {counts['failed']} failed")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
+from typing import Any
 
 from .data import View
 from .reference import BUDGET
@@ -56,9 +57,11 @@ class LiveViews:
 
     def _render(self, index: int, split: str) -> View:
         live = self.live
-        common = {"seed": self.seed, "size": live.size, "spp": live.spp, "budget": live.budget, "crop": live.size}
+        common: dict[str, Any] = {"seed": self.seed, "size": live.size, "spp": live.spp, "budget": live.budget}
         for attempt in count():
-            task = procedural_task(index + ATTEMPTS * attempt, lambda _: split, **common, variant=live.variant)
+            task = procedural_task(
+                index + ATTEMPTS * attempt, lambda _: split, **common, crop=live.size, variant=live.variant
+            )
             try:
                 line, tensors = render_view(task)
             except RejectedError:

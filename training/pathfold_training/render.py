@@ -35,6 +35,7 @@ def render(
     crop: int = 128,
     crops: int = 1,
     views_per_scene: int = 4,
+    views_per_generated: int = 1,
     held_out: float = 0.1,
     workers: int = 2,
     cluster: str | None = None,
@@ -43,7 +44,8 @@ def render(
 ) -> dict[str, int]:
     """Renders generated scenes and views of library scenes into the data set `out`.
 
-    `procedural` counts generated scenes, one view each; every scene in the folder `library` gives `views_per_scene`.
+    `procedural` counts generated scenes, which give `views_per_generated` each; every scene in the folder `library`
+    gives `views_per_scene`.
     `budget` is core-seconds per view for the reference, BUDGET for new views if it is None. `spp` samples are stored of
     `crops` windows of `crop` pixels. Views that exist are kept, so the same command continues an interrupted run; those
     of `out` whose samples are missing, or of another number than the given `spp`, get new ones, and those whose
@@ -59,7 +61,7 @@ def render(
         lines = {line["id"]: line for line in store.recover(out) if not _lost(line)}
         spend = BUDGET if budget is None else budget
         common = {"seed": seed, "size": size, "spp": spp or SPP, "budget": spend, "crop": crop, "crops": crops}
-        wanted = plan(procedural, library, views_per_scene, held_out, variant=variant, **common)
+        wanted = plan(procedural, library, views_per_scene, held_out, views_per_generated, variant=variant, **common)
         tasks = _missing(out, wanted, lines, spp, budget, variant)
         total = len({task.id for task in wanted} | set(lines))
         counts = {"done": 0, "kept": total - len(tasks), "failed": 0}
@@ -131,7 +133,14 @@ def _gallery(out: Path, lines: dict[str, store.Line]) -> Gallery:
     return gallery
 
 
-def plan(procedural: int, library: Path | None, views_per_scene: int, held_out: float, **common: Any) -> list[Task]:
+def plan(
+    procedural: int,
+    library: Path | None,
+    views_per_scene: int,
+    held_out: float,
+    views_per_generated: int = 1,
+    **common: Any,
+) -> list[Task]:
     """All views of a data set in random order, so that any first part of it is as mixed as the whole.
 
     `common` are fields that all tasks share, `seed` among them.
@@ -143,7 +152,8 @@ def plan(procedural: int, library: Path | None, views_per_scene: int, held_out: 
     def split(name: str) -> str:
         return "val" if entropy(seed, name, "split")[0] < held_out * 2**32 else "train"
 
-    tasks = [procedural_task(index, split, **common) for index in range(procedural)]
+    numbers = range(views_per_generated)
+    tasks = [procedural_task(index, split, number, **common) for number in numbers for index in range(procedural)]
     for entry in scenes.scan(library) if library else []:
         facts: dict[str, Any] = {"licence": entry.licence, "origin": entry.origin, "path": str(entry.path.resolve())}
         for number in range(views_per_scene):
@@ -153,10 +163,10 @@ def plan(procedural: int, library: Path | None, views_per_scene: int, held_out: 
     return [tasks[i] for i in order]
 
 
-def procedural_task(index: int, split: Callable[[str], str], **common: Any) -> Task:
-    """The view of generated scene `index`."""
+def procedural_task(index: int, split: Callable[[str], str], number: int = 0, **common: Any) -> Task:
+    """View `number` of generated scene `index`."""
     name = f"procedural-{common['seed']}-{index:04d}"
-    return Task(name, "procedural", name, split(name), 0, **common)
+    return Task(f"{name}-{number}" if number else name, "procedural", name, split(name), number, **common)
 
 
 class _Report:

@@ -24,7 +24,7 @@ BUSY = threading.Lock()  # Mitsuba's variant and its threads belong to the proce
 
 @dataclass(frozen=True)
 class Task:
-    """One view to render: a procedural seed, or camera `number` of a scene file.
+    """One view to render: camera `number` of a generated scene or of a scene file.
 
     `known` is the view's index line where it exists and only its `kinds` of files are wanted.
     """
@@ -176,10 +176,10 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
         return scene, line | {"content": "library", "max_depth": LIBRARY_DEPTH, "camera": _plain(camera)}
     reasons = []
     for attempt in range(4):
-        state = entropy(task.seed, task.id, attempt)
+        state = entropy(task.seed, task.scene, attempt)
         built, scene = _build(int(state[0]))
         try:
-            rng = np.random.default_rng(state[1])
+            rng = np.random.default_rng(entropy(task.seed, task.id, attempt)[1])
             camera = cameras.find(scene, built.propose, _draft(built.max_depth), rng, size)
         except RejectedError as error:
             reasons.append(f"{built.kind} ({error})")

@@ -55,12 +55,13 @@ def aim(scene: mi.Scene, camera: Camera, size: tuple[int, int]) -> None:
     """Turns the scene's first sensor into this camera with a film of width x height pixels."""
     params = mi.traverse(scene.sensors()[0])
     look = mi.ScalarTransform4f().look_at(*(list(map(float, v)) for v in (camera.origin, camera.target, camera.up)))
-    params["to_world"] = mi.AffineTransform4f(look.matrix)
-    params["x_fov"] = float(camera.fov)
+    values = {"to_world": mi.AffineTransform4f(look.matrix), "x_fov": mi.Float(camera.fov)}
     if "aperture_radius" in params:
         focus = float(np.linalg.norm(camera.target - camera.origin))
-        params["focus_distance"] = focus
-        params["aperture_radius"] = max(camera.blur, 1e-5) * focus
+        values |= {"focus_distance": mi.Float(focus), "aperture_radius": mi.Float(max(camera.blur, 1e-5) * focus)}
+    for name, value in values.items():
+        dr.make_opaque(value)  # as a literal it would be part of the kernels, and each view compile its own
+        params[name] = value
     resize(scene, size)
     params.update()
 
