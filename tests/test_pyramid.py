@@ -124,7 +124,9 @@ def test_the_fast_sums_of_a_level_and_their_gradients_are_the_others(height: int
     results = []
     for dtype in (torch.float64, torch.float32):
         given = [x.to(dtype).requires_grad_() for x in random]
-        sums = level_sums(*given)
+        logits = given[0].contiguous(memory_format=torch.channels_last)  # as a head gives them
+        sums = level_sums(logits, *given[1:])
+        assert ("LevelSums" in sums[0].grad_fn.name()) == (dtype == torch.float32)
         weighted = sum(
             (part * torch.arange(1.0, part.shape[1] + 1).reshape(1, -1, 1, 1)).square().sum() for part in sums
         )
@@ -137,10 +139,17 @@ def test_the_fast_sums_of_a_level_and_their_gradients_are_the_others(height: int
 
 def test_taps_outside_of_what_is_given_are_refused() -> None:
     logits, source = np.zeros((1, 25, 4, 4), np.float32), np.zeros((1, 4, 8, 7), np.float32)
-    with pytest.raises(_core.PathfoldError, match=r"the tap at \(0, 4\) reaches beyond the source"):
+    with pytest.raises(_core.PathfoldError, match=r"the tap at \(0, 4\) reaches beyond source, \(1, 4, 8, 7\)"):
         _core.sum_taps(logits, 0, source, KERNEL_TAPS, 1)
-    with pytest.raises(_core.PathfoldError, match="one for each offset"):
+    with pytest.raises(_core.PathfoldError, match="25 channels from 1 on"):
         _core.sum_taps(logits, 1, source, KERNEL_TAPS, 1)
+    wide, sums = np.zeros((1, 4, 8, 8), np.float32), np.zeros((1, 4, 4, 4), np.float32)
+    with pytest.raises(_core.PathfoldError, match="gradient is"):
+        _core.spread_taps(logits, 0, wide, sums.reshape(1, 4, 8, 2), np.empty_like(logits), KERNEL_TAPS, 1)
+    with pytest.raises(_core.PathfoldError, match="of_logits is"):
+        _core.spread_taps(logits, 0, wide, sums, np.empty((1, 25, 2, 8), np.float32), KERNEL_TAPS, 1)
+    with pytest.raises(TypeError):  # a copy would be written to
+        _core.spread_taps(logits, 0, wide, sums, np.empty((1, 25, 4, 8), np.float32)[..., ::2], KERNEL_TAPS, 1)
 
 
 def naive(trust: np.ndarray, levels: list[np.ndarray], source: np.ndarray) -> np.ndarray:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 mi = pytest.importorskip("mitsuba")
-dr = pytest.importorskip("drjit")
 mi.set_variant("llvm_ad_rgb")
 
+import drjit as dr  # noqa: E402
 from pathfold.mitsuba import trace_mean  # noqa: E402
 from pathfold_training.scenes import (  # noqa: E402
     cameras,

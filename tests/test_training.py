@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from pathfold.models import ALL_SAMPLES
-from pathfold_training import cli, data
+from pathfold_training import cli, data, store
 from pathfold_training.config import Config, Data, Loss, Network, Optimiser
 from pathfold_training.data import (
     PATH_NAMES,
@@ -210,9 +210,14 @@ def test_cleaned_references_are_kept_until_the_view_changes(tmp_path: Path, monk
     line = json.loads((folder / "index.jsonl").read_text().splitlines()[0])
     append_line(folder, write(folder, line, {n: v + 1.0 for n, v in view_tensors(0).items()}))
     assert float(Stored(folder).train[0].cleaned.mean()) == 2.0
+    (kept,) = {path for path in (folder / "cleaned").iterdir() if np.load(path).mean() == 2.0}
+    store.recover(folder)
+    assert list((folder / "cleaned").iterdir()) == [kept]
+    kept.write_bytes(b"")
+    assert float(Stored(folder).train[0].cleaned.mean()) == 3.0
     shutil.rmtree(folder / "cleaned")
     (folder / "cleaned").write_text("where nothing can be kept")
-    assert float(Stored(folder).train[0].cleaned.mean()) == 3.0
+    assert float(Stored(folder).train[0].cleaned.mean()) == 4.0
 
 
 def test_paths_of_the_first_samples_alone_are_read(data_set: Path) -> None:
@@ -274,6 +279,36 @@ def test_augmentation_turns_everything_alike() -> None:
     assert not torch.equal(inputs["color"], first)
     torch.testing.assert_close(inputs["normal"].square().sum(), length)
     assert float(inputs["exposure"]) == 2.0
+
+
+def test_means_turned_are_the_means_of_samples_turned() -> None:
+    shapes = {"radiance": 3, "diffuse": 3, "diffuse.albedo": 3, "albedo": 3, "normal": 3, "depth": 1, "density": 1}
+    samples = {f"samples.{n}": torch.rand(4, c, 6, 6) for n, c in shapes.items()}
+    samples["samples.descriptor"] = torch.rand(4, 36, 6, 6)
+
+    def turned(x: torch.Tensor, name: str) -> torch.Tensor:
+        """What augment does by the numbers drawn below: flipped both ways, transposed, colours in the order 2, 0, 1."""
+        x = x.flip((-1, -2)).transpose(-1, -2)
+        if name == "samples.normal":
+            return torch.stack([-x[:, 1], -x[:, 0], x[:, 2]], 1)
+        if name == "samples.descriptor":
+            return torch.cat([x[:, :24].unflatten(1, (8, 3))[:, :, [2, 0, 1]].flatten(1, 2), x[:, 24:]], 1)
+        return x[:, [2, 0, 1]] if x.shape[1] == 3 else x
+
+    class Drawn:
+        def __init__(self) -> None:
+            self.values = [np.zeros(3), np.array([2, 0, 1]), 1.0]
+
+        def __getattr__(self, name: str) -> object:
+            return lambda *_: self.values.pop(0)
+
+    inputs, reference = frame_inputs(samples, 2.0, 1.0), {"color": samples["samples.radiance"].mean(0)}
+    augment(inputs, reference, Drawn(), normal_turn=0.0)  # type: ignore[arg-type]
+    wanted = frame_inputs({name: turned(x, name) for name, x in samples.items()}, 2.0, 1.0)
+    assert inputs.keys() == wanted.keys()
+    for name, value in wanted.items():
+        torch.testing.assert_close(inputs[name], value, msg=lambda text, name=name: f"{name}: {text}")
+    torch.testing.assert_close(reference["color"], wanted["color"])
 
 
 def test_one_sample_has_no_variance() -> None:

@@ -1,4 +1,6 @@
-// pathfold._core: NumPy arrays in, NumPy arrays out, the GIL released in between. No logic of its own.
+// pathfold._core: NumPy arrays in, NumPy arrays out, the GIL released in between. No logic of its own; taps.h
+// has what training computes here.
+#include <algorithm>
 #include <atomic>
 #include <exception>
 #include <functional>
@@ -220,20 +222,26 @@ auto manifest_entry(const char *key) {
 using Floats = py::array_t<float, py::array::c_style>;
 using Offsets = std::vector<std::pair<size_t, size_t>>;
 
+std::string shape_of(const Floats &array) { return py::str(array.attr("shape")); }
+
 /// Checks shapes: logits [B][C][h][w], source [B][4][H][W], an offset (y, x) for each logit from `first` on.
 pathfold::training::Taps taps_of(const Floats &logits, size_t first, const Floats &source,
                                  const Offsets &offsets) {
     pathfold::training::Taps taps;
     if (logits.ndim() != 4 || source.ndim() != 4 || logits.shape(0) != source.shape(0) ||
-        size_t(logits.shape(1)) < first + offsets.size() || source.shape(1) != py::ssize_t(taps.planes))
-        invalid("logits must be B x C x h x w, one for each offset, and source B x 4 x H x W");
+        source.shape(1) != py::ssize_t(taps.planes) || size_t(logits.shape(1)) < offsets.size() ||
+        size_t(logits.shape(1)) - offsets.size() < first)
+        invalid("logits are " + shape_of(logits) + " and source is " + shape_of(source) +
+                "; they must be B x C x h x w, " + std::to_string(offsets.size()) + " channels from " +
+                std::to_string(first) + " on, and B x 4 x H x W");
     taps.images = size_t(logits.shape(0)), taps.channels = size_t(logits.shape(1)), taps.first = first;
     taps.height = size_t(logits.shape(2)), taps.width = size_t(logits.shape(3));
     taps.rows = size_t(source.shape(2)), taps.stride = size_t(source.shape(3));
     for (const auto &[y, x] : offsets) {
-        if (taps.height + y > taps.rows || taps.width + x > taps.stride)
+        if (taps.height > taps.rows || taps.width > taps.stride || y > taps.rows - taps.height ||
+            x > taps.stride - taps.width)
             invalid("the tap at (" + std::to_string(y) + ", " + std::to_string(x) +
-                    ") reaches beyond the source");
+                    ") reaches beyond source, " + shape_of(source) + ", from logits of " + shape_of(logits));
         taps.offsets.push_back(y * taps.stride + x);
     }
     return taps;
@@ -252,10 +260,11 @@ Floats sum_taps(const Floats &logits, size_t first, const Floats &source, const 
 Floats spread_taps(const Floats &logits, size_t first, const Floats &source, const Floats &gradient,
                    Floats &of_logits, const Offsets &offsets, int threads) {
     const auto taps = taps_of(logits, first, source, offsets);
-    if (size_t(gradient.size()) != taps.images * taps.planes * taps.height * taps.width)
-        invalid("gradient must be B x 4 x h x w");
-    if (of_logits.size() != logits.size())
-        invalid("of_logits must be of the shape of logits");
+    const std::vector<size_t> sums = {taps.images, taps.planes, taps.height, taps.width};
+    if (gradient.ndim() != 4 || !std::equal(sums.begin(), sums.end(), gradient.shape()))
+        invalid("gradient is " + shape_of(gradient) + "; it must be B x 4 x h x w, as the sums");
+    if (of_logits.ndim() != 4 || !std::equal(logits.shape(), logits.shape() + 4, of_logits.shape()))
+        invalid("of_logits is " + shape_of(of_logits) + "; it must be " + shape_of(logits) + ", as logits");
     Floats of_source(std::vector<py::ssize_t>(source.shape(), source.shape() + 4));
     float *to_logits = of_logits.mutable_data(), *to_source = of_source.mutable_data();
     py::gil_scoped_release release;

@@ -2,8 +2,8 @@
 #include "taps.h"
 
 #include <algorithm>
-#include <thread>
-#include <vector>
+
+#include "parallel.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "taps.cpp"
@@ -45,27 +45,27 @@ V Weight(V logit) {
     return hn::Exp(d, hn::Add(hn::Clamp(logit, hn::Set(d, -limit), hn::Set(d, limit)), hn::Set(d, shift)));
 }
 
-void SumImage(const Taps &taps, const float *logits, const float *source, float *sums) {
+/// One row of the sums.
+void SumRow(const Taps &taps, size_t y, const float *logits, const float *source, float *sums) {
     const D d;
     const size_t lanes = hn::Lanes(d), width = taps.width, plane = taps.height * width, above = taps.plane();
-    for (size_t y = 0; y < taps.height; ++y)
-        for (size_t x = 0; x < width; x += lanes) {
-            const size_t count = std::min(lanes, width - x);
-            V sum0 = hn::Zero(d), sum1 = sum0, sum2 = sum0, sum3 = sum0;
-            for (size_t t = 0; t < taps.offsets.size(); ++t) {
-                const V weight = Weight(Read(logits + t * plane + y * width + x, count));
-                const float *value = source + y * taps.stride + x + taps.offsets[t];
-                sum0 = hn::MulAdd(weight, Read(value, count), sum0);
-                sum1 = hn::MulAdd(weight, Read(value + above, count), sum1);
-                sum2 = hn::MulAdd(weight, Read(value + 2 * above, count), sum2);
-                sum3 = hn::MulAdd(weight, Read(value + 3 * above, count), sum3);
-            }
-            float *to = sums + y * width + x;
-            Write(sum0, to, count);
-            Write(sum1, to + plane, count);
-            Write(sum2, to + 2 * plane, count);
-            Write(sum3, to + 3 * plane, count);
+    for (size_t x = 0; x < width; x += lanes) {
+        const size_t count = std::min(lanes, width - x);
+        V sum0 = hn::Zero(d), sum1 = sum0, sum2 = sum0, sum3 = sum0;
+        for (size_t t = 0; t < taps.offsets.size(); ++t) {
+            const V weight = Weight(Read(logits + t * plane + y * width + x, count));
+            const float *value = source + y * taps.stride + x + taps.offsets[t];
+            sum0 = hn::MulAdd(weight, Read(value, count), sum0);
+            sum1 = hn::MulAdd(weight, Read(value + above, count), sum1);
+            sum2 = hn::MulAdd(weight, Read(value + 2 * above, count), sum2);
+            sum3 = hn::MulAdd(weight, Read(value + 3 * above, count), sum3);
         }
+        float *to = sums + y * width + x;
+        Write(sum0, to, count);
+        Write(sum1, to + plane, count);
+        Write(sum2, to + 2 * plane, count);
+        Write(sum3, to + 3 * plane, count);
+    }
 }
 
 void SpreadImage(const Taps &taps, const float *logits, const float *source, const float *gradient,
@@ -99,41 +99,25 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace pathfold::training {
 
-HWY_EXPORT(SumImage);
+HWY_EXPORT(SumRow);
 HWY_EXPORT(SpreadImage);
-
-namespace {
-
-/// Calls body(image) for all images, by so many threads.
-template <typename Body>
-void for_images(size_t images, int threads, const Body &body) {
-    const size_t count = std::clamp<size_t>(size_t(std::max(threads, 1)), 1, std::max<size_t>(images, 1));
-    const auto share = [&](size_t first) {
-        for (size_t image = first; image < images; image += count)
-            body(image);
-    };
-    std::vector<std::thread> others;
-    for (size_t first = 1; first < count; ++first)
-        others.emplace_back(share, first);
-    share(0);
-    for (std::thread &other : others)
-        other.join();
-}
-
-} // namespace
 
 void sum_taps(const Taps &taps, int threads, const float *logits, const float *source, float *sums) {
     const size_t pixels = taps.height * taps.width, values = Taps::planes * taps.plane();
-    for_images(taps.images, threads, [&](size_t i) {
-        HWY_DYNAMIC_DISPATCH(SumImage)
-        (taps, logits + taps.logit(i), source + i * values, sums + i * Taps::planes * pixels);
+    core::Threads arena(std::max(threads, 1));
+    core::for_rows(arena, int(taps.images * taps.height), [&](int row) {
+        const size_t i = size_t(row) / taps.height, y = size_t(row) % taps.height;
+        HWY_DYNAMIC_DISPATCH(SumRow)
+        (taps, y, logits + taps.logit(i), source + i * values, sums + i * Taps::planes * pixels);
     });
 }
 
 void spread_taps(const Taps &taps, int threads, const float *logits, const float *source,
                  const float *gradient, float *of_logits, float *of_source) {
     const size_t pixels = taps.height * taps.width, values = Taps::planes * taps.plane();
-    for_images(taps.images, threads, [&](size_t i) {
+    core::Threads arena(std::max(threads, 1));
+    core::for_rows(arena, int(taps.images), [&](int image) { // rows of one add to the same values
+        const size_t i = size_t(image);
         std::fill_n(of_source + i * values, values, 0.0f);
         HWY_DYNAMIC_DISPATCH(SpreadImage)
         (taps, logits + taps.logit(i), source + i * values, gradient + i * Taps::planes * pixels,

@@ -22,8 +22,8 @@ struct Taps {
 /// threads.
 void sum_taps(const Taps &taps, int threads, const float *logits, const float *source, float *sums);
 
-/// Gradients of both from that of the sums, which has their shape; of_logits is that of all channels, and the
-/// others' stay.
+/// Gradients of both from that of the sums, which has their shape; an image at a time on each thread.
+/// of_logits has all channels, and those of no tap stay: several calls fill it.
 void spread_taps(const Taps &taps, int threads, const float *logits, const float *source,
                  const float *gradient, float *of_logits, float *of_source);
 

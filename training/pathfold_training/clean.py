@@ -1,4 +1,7 @@
-"""References without most of their noise, to learn from. They inherit a denoiser's habits: never score by them."""
+"""References without most of their noise, to learn from. They inherit a denoiser's habits: never score by them.
+
+Data sets keep them: count store.CLEANING up when they come out otherwise.
+"""
 
 from __future__ import annotations
 

@@ -32,7 +32,9 @@ Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], typer.Option(help="Mi
 def render(
     out: Annotated[Path, typer.Option("--out", help="data set folder; views already in it are kept")],
     procedural: Annotated[int, typer.Option(min=0, help="number of generated scenes")] = 0,
-    views: Annotated[int, typer.Option(min=1, help="views of each generated scene")] = 1,
+    views: Annotated[
+        int, typer.Option(min=1, help="views of each generated scene (--cameras: of a library scene)")
+    ] = 1,
     library: Annotated[Path | None, typer.Option(help="folder of Mitsuba scenes")] = None,
     cameras: Annotated[int, typer.Option(min=1, help="views of each library scene")] = 4,
     budget: Annotated[
@@ -69,8 +71,8 @@ def render(
             f"{out} holds no views to complete, and none are asked for: give --procedural N or --library DIR"
         )
     counts = run(
-        out, procedural, library, budget, seed, size, spp, crop, crops, cameras, views,
-        workers=workers, cluster=cluster, variant=variant, console=console,
+        out, procedural, library, budget, seed, size, spp, crop, crops, cameras,
+        workers=workers, cluster=cluster, variant=variant, console=console, views_per_generated=views,
     )  # fmt: skip
     console.print(f"{out}: {counts['done']} views made, {counts['kept']} kept, {counts['failed']} failed")
     if counts["failed"]:

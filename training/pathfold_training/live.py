@@ -57,11 +57,10 @@ class LiveViews:
 
     def _render(self, index: int, split: str) -> View:
         live = self.live
-        common: dict[str, Any] = {"seed": self.seed, "size": live.size, "spp": live.spp, "budget": live.budget}
+        common: dict[str, Any] = {"seed": self.seed, "size": live.size, "spp": live.spp, "crop": live.size}
+        common |= {"budget": live.budget, "variant": live.variant}
         for attempt in count():
-            task = procedural_task(
-                index + ATTEMPTS * attempt, lambda _: split, **common, crop=live.size, variant=live.variant
-            )
+            task = procedural_task(index + ATTEMPTS * attempt, lambda _: split, **common)
             try:
                 line, tensors = render_view(task)
             except RejectedError:

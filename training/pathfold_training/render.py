@@ -35,12 +35,12 @@ def render(
     crop: int = 128,
     crops: int = 1,
     views_per_scene: int = 4,
-    views_per_generated: int = 1,
     held_out: float = 0.1,
     workers: int = 2,
     cluster: str | None = None,
     variant: str = "llvm_ad_rgb",
     console: Console | None = None,
+    views_per_generated: int = 1,
 ) -> dict[str, int]:
     """Renders generated scenes and views of library scenes into the data set `out`.
 
@@ -164,7 +164,7 @@ def plan(
 
 
 def procedural_task(index: int, split: Callable[[str], str], number: int = 0, **common: Any) -> Task:
-    """View `number` of generated scene `index`."""
+    """View `number` of generated scene `index`; the first one has the scene's name."""
     name = f"procedural-{common['seed']}-{index:04d}"
     return Task(f"{name}-{number}" if number else name, "procedural", name, split(name), number, **common)
 

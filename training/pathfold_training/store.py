@@ -38,7 +38,7 @@ OWN = {  # the facts of a line that belong to a kind of file: what its latest on
     SAMPLES: ("spp", "described"),
 }
 OPEN_FILES = 128
-CLEANING = 1  # of clean.py; counts up when that changes
+CLEANING = 1  # counts up when clean.py, what it asks of OIDN or OIDN itself changes: cleaned references are made anew
 
 log = logging.getLogger("pathfold.store")
 
@@ -160,7 +160,7 @@ def recover(folder: Path) -> list[Line]:
 
     Damaged files are removed, each with a warning, so that they are rendered again; whole files that the index does not
     know, or of which it knows another version, because the process was killed before it wrote the line, are taken up.
-    Reads every byte.
+    Cleaned references of other files than a view has now go. Reads every byte.
     """
     lines = {line["id"]: line for line in read_index(folder)}
     for path in damaged(folder, list(lines.values())):
@@ -179,6 +179,10 @@ def recover(folder: Path) -> list[Line]:
                 _take_up(lines, kind, path)
     for line in lines.values():
         line["files"] = {k: v for k, v in line["files"].items() if file_path(folder, k, line["id"]).exists()}
+    whole = [line for line in lines.values() if all(kind in line["files"] for kind in KINDS)]
+    kept = {cleaned_path(folder, line, n) for line in whole for n in range(len(line["crops"]))}
+    for path in set((folder / "cleaned").glob("*")) - kept:
+        path.unlink()
     write_whole(folder / "index.jsonl", "".join(json.dumps(line) + "\n" for line in lines.values()).encode())
     return list(lines.values())
 

@@ -160,7 +160,10 @@ def _draft(depth: int) -> Any:
 
 
 def _new_scene(task: Task) -> tuple[Any, Line]:
-    """The scene with a camera found and aimed, and the line that describes both."""
+    """The scene with a camera found and aimed, and the line that describes both.
+
+    A generated scene in which no camera is found gives way to another one, for this view alone.
+    """
     from .scenes import cameras, library, procedural, variation
 
     size = task.size, task.size

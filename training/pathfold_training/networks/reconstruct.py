@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as functional
 from pathfold import _core
 from torch import Tensor
-from torch.autograd.function import FunctionCtx
+from torch.autograd.function import FunctionCtx, once_differentiable
 
 STRIP_TAPS = 1 << 25  # taps per strip: bounds the memory of the unfolded patches
 
@@ -125,10 +125,12 @@ def normalised(sums: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def level_sums(logits: Tensor, source: Tensor, below: Tensor | None = None) -> tuple[Tensor, ...]:
-    """weigh_taps of a level's own values; where there is a level `below`, at this one's resolution, of that too, and
-    the blend logits B x 1 x h x w.
+    """Sums over a level's taps, B x (C + 1) x h x w: weigh_taps of `source` by its 25 kernel logits.
+
+    Where there is a coarser level, `below` at this one's resolution and logits B x 30 x h x w, also of that by the four
+    of the upsampling, and the blend logits B x 1 x h x w.
     """
-    if logits.device.type == "cpu" and logits.dtype == torch.float32 and source.shape[1] == 4:
+    if logits.device.type == "cpu" and logits.dtype == source.dtype == torch.float32 and source.shape[1] == 4:
         padded = [functional.pad(x, (r,) * 4).contiguous() for x, r in ((source, 2), (below, 1)) if x is not None]
         return _LevelSums.apply(logits.contiguous(), *padded)  # several times as fast
     if below is None:
@@ -172,7 +174,7 @@ class _WeighTaps(torch.autograd.Function):
 
 
 class _LevelSums(torch.autograd.Function):
-    """level_sums by python/bindings/taps.h (tested against what it does otherwise)."""
+    """level_sums on a CPU, by python/bindings/taps.h."""
 
     @staticmethod
     def forward(ctx: FunctionCtx, logits: Tensor, *padded: Tensor) -> tuple[Tensor, ...]:
@@ -185,6 +187,7 @@ class _LevelSums(torch.autograd.Function):
         return tuple(sums) if len(sums) == 1 else (*sums, logits[:, first:].clone())
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: FunctionCtx, *gradients: Tensor) -> tuple[Tensor, ...]:
         logits, *padded = ctx.saved_tensors  # type: ignore[attr-defined]
         first, of_logits, of_values = 0, torch.empty_like(logits), []
