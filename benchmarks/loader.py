@@ -38,11 +38,12 @@ def write_noise(folder: Path, views: int = 8) -> Path:
         for names, kind in ((channels, np.float32), (half, np.float16)):
             for name, count in names.items():
                 tensors[f"samples.{name}"] = rng.random((1, SPP, count, SIDE, SIDE), np.float32).astype(kind)
-        for name in ("color", "diffuse", "diffuse.albedo"):
+        for name in ("color", "diffuse", "diffuse.albedo", "half_a.color", "half_b.color"):
             tensors[f"reference.{name}"] = rng.random((3, SIDE, SIDE), np.float32)
         tensors["importance"] = np.ones((SIDE, SIDE), np.float32)
         line = {"id": str(number), "split": "train" if number else "val", "spp": SPP, "crop": SIDE, "crops": [[0, 0]]}
-        store.append_line(folder, store.write(folder, line | {"exposure": 1.0, "depth_scale": 1.0}, tensors))
+        line |= {"scene": str(number), "exposure": 1.0, "depth_scale": 1.0}
+        store.append_line(folder, store.write(folder, line, tensors))
     return folder
 
 
@@ -54,9 +55,11 @@ def seconds(run: Callable[[], Any]) -> tuple[float, Any]:
 
 def measure(config: Config, data: Path, batches: int) -> dict[str, float]:
     """Medians in seconds for a batch and for a step of training on it, and megabytes of tensors a second."""
-    stream = iter(
-        Crops(Stored(data), config.data, seed=0, paths=config.network.path_samples, albedo=config.loss.albedo > 0.0)
-    )
+    stored = Stored(data)
+    for view in stored.train if config.data.cleaned else []:
+        _ = view.cleaned  # made once, kept from here on
+    crops = Crops(stored, config.data, seed=0, paths=config.network.path_samples, albedo=config.loss.albedo > 0.0)
+    stream = iter(crops)
     task = Denoising(config)
     task.log = lambda *_, **__: None  # type: ignore[method-assign]
     task.trainer = SimpleNamespace(world_size=1, global_rank=0, global_step=0)  # type: ignore[assignment]

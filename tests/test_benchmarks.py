@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
 import ablation
 import energy
+import loader
 import paths_gain
 
 TINY = {
@@ -49,6 +50,13 @@ def test_a_subset_keeps_what_is_held_out_and_stays_as_it_was(tmp_path: Path) -> 
     assert [line["split"] for line in kept] == ["train", "val"]
     index.write_text(index.read_text().splitlines(keepends=True)[-1])
     assert Store(ablation.subset(data, tmp_path / "third", 1 / 3)).lines == kept
+
+
+def test_the_loader_is_timed_on_noise_with_cleaned_references(tmp_path: Path) -> None:
+    config = ablation.changed(load_preset("pathfold-fast"), TINY)
+    config = config.model_copy(update={"data": config.data.model_copy(update={"cleaned": True})})
+    found = loader.measure(config, loader.write_noise(tmp_path, 2), 1)
+    assert all(math.isfinite(value) and value > 0 for value in found.values())
 
 
 @pytest.mark.parametrize("run", ["baseline", "kernel-11", "split"])
