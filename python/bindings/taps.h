@@ -18,7 +18,7 @@ struct Taps {
     size_t logit(size_t image) const { return (image * channels + first) * height * width; }
 };
 
-/// sums [B][4][height][width] = sum over t of exp(clamp(logit, -10, 10) - 5) * source. Computes on so many
+/// sums [B][4][height][width] = sum over t of exp(clamp(logit, -10, 10) - 5) * source. On at most so many
 /// threads.
 void sum_taps(const Taps &taps, int threads, const float *logits, const float *source, float *sums);
 

@@ -179,7 +179,7 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
         return scene, line | {"content": "library", "max_depth": LIBRARY_DEPTH, "camera": _plain(camera)}
     reasons = []
     for attempt in range(4):
-        state = entropy(task.seed, task.scene, attempt)
+        state = entropy(task.seed, task.scene, attempt)  # all views of a scene share it, and each draws its own camera
         built, scene = _build(int(state[0]))
         try:
             rng = np.random.default_rng(entropy(task.seed, task.id, attempt)[1])
