@@ -15,6 +15,7 @@ from pathfold.mitsuba import trace_mean  # noqa: E402
 from pathfold_training.scenes import (  # noqa: E402
     cameras,
     faults,
+    fittings,
     furniture,
     growth,
     library,
@@ -192,6 +193,49 @@ def test_every_item_stands_on_the_ground_at_about_its_size(kind: str) -> None:
     assert -0.2 < box.min.z < 0.4
     assert 0.1 < box.max.z < 1.6
     assert max(box.max.x, box.max.y, -box.min.x, -box.min.y) < 3
+
+
+def mouldings(stage: Stage) -> None:
+    fittings.mouldings(stage, np.eye(4), 4, 2.5, stage.material("matte"))
+
+
+FITTINGS = {
+    "mouldings": mouldings,
+    "door": lambda stage: fittings.door(stage, np.eye(4), stage.material("matte")),
+    "radiator": lambda stage: fittings.radiator(stage, np.eye(4), stage.material("matte")),
+    "kitchen": lambda stage: fittings.kitchen(stage, np.eye(4), 3.5),
+    "shelves": lambda stage: fittings.shelves(stage, np.eye(4), 2),
+}
+
+
+@pytest.mark.parametrize("kind", FITTINGS)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_fittings_hang_on_their_wall(kind: str, seed: int) -> None:
+    stage = Stage(np.random.default_rng(seed))
+    FITTINGS[kind](stage)
+    stage.camera()
+    box = stage.load().bbox()
+    assert -1 < box.min.y < -0.005  # into the room
+    assert box.max.y < 0.15  # a thing on a board may touch the wall
+    assert box.min.z > -1e-3
+    assert box.max.z < 2.6
+    assert max(box.max.x, -box.min.x) < 2.5
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_rows_stay_in_their_room(seed: int) -> None:
+    stage = Stage(np.random.default_rng(seed))
+    size = np.array([5.0, 6, 2.5])
+    fittings.desks(stage, size)
+    fittings.beams(stage, size)
+    fittings.railing(stage, np.eye(4), 4)
+    stage.camera()
+    box = stage.load().bbox()
+    assert len(stage.entries) > 100
+    assert np.all(np.abs([box.min.x, box.max.x]) < 2.9)
+    assert np.all(np.abs([box.min.y, box.max.y]) < 3.4)
+    assert box.min.z > -1e-3
+    assert box.max.z < 2.5 + 1e-3
 
 
 @pytest.mark.parametrize("kind", lights.SKIES)

@@ -10,16 +10,16 @@ from . import outdoor, rooms, tabletop
 from .cameras import Propose
 from .stage import Stage
 
-GENERATOR = 2  # to be raised when a seed gives another scene: samples must not be rendered to an older reference
+GENERATOR = 3  # to be raised when a seed gives another scene: samples must not be rendered to an older reference
 KINDS = {  # who builds it, and its share of the scenes
-    "room": (rooms.room, 0.34),
-    "hall": (rooms.hall, 0.1),
-    "still-life": (tabletop.still_life, 0.13),
-    "close-up": (tabletop.close_up, 0.1),
-    "arrangement": (tabletop.arrangement, 0.12),
-    "garden": (outdoor.garden, 0.08),
-    "street": (outdoor.street, 0.07),
-    "land": (outdoor.land, 0.06),
+    "room": (rooms.room, 0.5),
+    "hall": (rooms.hall, 0.08),
+    "still-life": (tabletop.still_life, 0.1),
+    "close-up": (tabletop.close_up, 0.07),
+    "arrangement": (tabletop.arrangement, 0.09),
+    "garden": (outdoor.garden, 0.06),
+    "street": (outdoor.street, 0.05),
+    "land": (outdoor.land, 0.05),
 }
 
 

@@ -6,11 +6,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.random import Generator
 
-from . import furniture, lights, materials, meshes
+from . import fittings, furniture, lights, materials, meshes
 from .cameras import Camera, Propose
 from .meshes import Array, frame
 from .meshes import at as floor_at
 from .stage import Stage, warm
+from .tones import white
 
 UP = np.array([0.0, 0, 1])
 MODES = {  # where the light of a room comes from, and how often
@@ -70,15 +71,18 @@ def _windows(stage: Stage, place: Array, length: float, height: float, bright: f
     cell = length / count
     wide, low = cell * rng.uniform(0.35, 0.8), rng.uniform(0.1, 1.0)
     high = min(height - 0.15, low + rng.uniform(0.7, 1.8))
-    dressing, glazed = rng.uniform(), rng.uniform() < 0.2
+    dressing, glazed, barred = rng.uniform(), rng.uniform() < 0.2, rng.uniform() < 0.5
     bars = stage.material("matte")
     openings: list[tuple[float, ...]] = []
     for i in range(count):
         middle = (i + 0.5) * cell - length / 2
         openings.append((middle - wide / 2, middle + wide / 2, low, high))
         at = place @ frame(middle, 0.08, low)
-        stage.box((0.04, 0.04, high - low), bars, at)
-        stage.box((wide, 0.04, 0.04), bars, at, (0, 0, (high - low) / 2))
+        if barred:
+            fittings.mullions(stage, at, (wide, high - low), bars)
+        else:
+            stage.box((0.04, 0.04, high - low), bars, at)
+            stage.box((wide, 0.04, 0.04), bars, at, (0, 0, (high - low) / 2))
         if bright > 0:
             _daylight(stage, at, (wide, high - low), bright)
         if glazed:
@@ -175,18 +179,22 @@ def _lid(stage: Stage, size: Array, lid: mi.BSDF, open_: bool) -> None:
 
 
 def _furnish(stage: Stage, size: Array) -> None:
-    """Furniture along the walls and in the middle: of a home, a gallery, a store, or next to none."""
+    """Furniture along the walls and in the middle: of a home, kitchen, class, gallery or store, or next to none."""
     rng = stage.rng
     x, y, z = size
-    style = str(rng.choice(["home", "gallery", "store", "bare"], p=[0.6, 0.16, 0.14, 0.1]))
+    styles = {"home": 0.46, "kitchen": 0.16, "class": 0.1, "gallery": 0.1, "store": 0.09, "bare": 0.09}
+    style = str(rng.choice(list(styles), p=list(styles.values())))
     for place, length in _walls(x, y):
+        if style == "kitchen" and rng.uniform() < 0.5:
+            fittings.kitchen(stage, place, length * rng.uniform(0.5, 0.95))
+            continue
         for slot in (-0.25, 0.25) if length > 2.6 else (0.0,):
             at, wide = place @ frame(slot * length, -0.28), min(0.42 * length, 2.5)
-            if style == "home":
+            if style in ("home", "kitchen"):
                 _along_wall(stage, at, wide, z)
             elif style == "store" and rng.uniform() < 0.7:
                 furniture.crates(stage, at, int(rng.integers(1, 6)))
-            elif style == "gallery" and rng.uniform() < 0.6:
+            elif style in ("gallery", "class") and rng.uniform() < 0.6:
                 furniture.picture(stage, place @ frame(slot * length, -0.02, rng.uniform(1.0, 1.4)))
             if style != "store" and rng.uniform() < 0.07:
                 furniture.mirror(stage, place @ frame(slot * length, -0.02, rng.uniform(0.5, 1.2)))
@@ -196,10 +204,25 @@ def _furnish(stage: Stage, size: Array) -> None:
         for _ in range(int(rng.integers(1, 5))):
             spot = floor_at(rng.uniform(-0.3, 0.3, 2) * size[:2], 0, rng.uniform(0, 6.3))
             furniture.pedestal(stage, spot, rng.uniform(0.2, 1.1))
-    elif style == "home":
+    elif style == "class":
+        fittings.desks(stage, size)
+    elif style in ("home", "kitchen"):
         _middle(stage, size)
+    if rng.uniform() < 0.1:
+        fittings.railing(stage, floor_at(rng.uniform(-0.3, 0.3, 2) * size[:2], 0, rng.uniform(0, 6.3)), 0.5 * x)
     count = rng.integers(2, 9) if style in ("bare", "store") else rng.integers(0, 5)
     furniture.scatter(stage, frame(), (0.7 * x, 0.7 * y), int(count), (0.15, 1.1 if style == "bare" else 0.6))
+
+
+def _joinery(stage: Stage, place: Array, length: float, height: float, paint: mi.BSDF) -> None:
+    """What a wall without openings has of wood and iron."""
+    rng = stage.rng
+    if rng.uniform() < 0.6:
+        fittings.mouldings(stage, place, length, height, paint)
+    if rng.uniform() < 0.3:
+        fittings.door(stage, place @ frame(rng.uniform(-0.35, 0.35) * length), paint)
+    if rng.uniform() < 0.15:
+        fittings.radiator(stage, place @ frame(rng.uniform(-0.3, 0.3) * length), stage.material("matte"))
 
 
 def _along_wall(stage: Stage, at: Array, width: float, height: float) -> None:
@@ -215,8 +238,10 @@ def _along_wall(stage: Stage, at: Array, width: float, height: float) -> None:
         furniture.bed(stage, at)
     elif pick < 0.58:
         furniture.plant(stage, at @ frame(y=-0.2), rng.uniform(0.7, 1.7))
-    elif pick < 0.78:
+    elif pick < 0.74:
         furniture.picture(stage, at @ frame(0, 0.26, rng.uniform(1.1, 1.4)))
+    elif pick < 0.9:
+        fittings.shelves(stage, at @ frame(0, 0.28), width * rng.uniform(0.4, 0.9))
 
 
 def _middle(stage: Stage, size: Array) -> None:
@@ -232,7 +257,10 @@ def _middle(stage: Stage, size: Array) -> None:
 
 
 def room(stage: Stage, blur: float) -> Propose:
-    rng, tones = stage.rng, stage.tones
+    rng = stage.rng
+    if rng.uniform() < 0.4:
+        stage.tones = white(rng)
+    tones = stage.tones
     size = np.array([rng.uniform(2.2, 7), rng.uniform(2.6, 7), rng.uniform(2.3, 3.6)])
     x, y, z = size
     paint, other = materials.matte(rng, tones, 0.4), materials.matte(rng, tones)
@@ -252,6 +280,10 @@ def room(stage: Stage, blur: float) -> Propose:
         elif i in opened and mode in ("ajar", "slit"):
             openings = _next_room(stage, place, paint, z, 0.9 if mode == "ajar" else rng.uniform(0.12, 0.3))
         _wall(stage, place, length, z, other if i == 0 else paint, openings)
+        if not openings:
+            _joinery(stage, place, length, z, paint if rng.uniform() < 0.8 else stage.material("matte"))
+    if rng.uniform() < 0.15:
+        fittings.beams(stage, size)
     if mode == "window":
         if bright == 0:
             lights.sky(stage)

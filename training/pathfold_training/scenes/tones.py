@@ -31,6 +31,11 @@ def linear(hue: float, saturation: float, value: float) -> list[float]:
     return [min(0.9, max(0.005, c**2.2)) for c in hsv_to_rgb(hue % 1, saturation, value)]
 
 
+def white(rng: Generator) -> Tones:
+    """White paint and linen, and a few things that stand out."""
+    return Tones((0.09, float(rng.uniform())), 0.03, (0, 0.12), (0.75, 0.97), 0.12)
+
+
 def draw(rng: Generator) -> Tones:
     """White, grey, dark, earthen, pastel, vivid, of one hue, of two opposite ones, or anything."""
     hue = float(rng.uniform())
