@@ -331,6 +331,18 @@ def test_views_of_a_generated_scene_share_it_and_its_split() -> None:
     assert first["scene_seed"] == second["scene_seed"] and first["camera"] != second["camera"]
 
 
+def test_the_command_renders_views_of_generated_scenes(tmp_path: Path) -> None:
+    options = ["--procedural", "1", "--views", "2", "--budget", "0", "--size", "16", "--spp", "1", "--seed", "9"]
+    program = str(Path(sys.executable).parent / "pathfold-train")
+    run = subprocess.run(
+        [program, "render", "--out", str(tmp_path), *options], capture_output=True, text=True, check=True
+    )
+    made = {line["id"]: line for line in store.read_index(tmp_path)}
+    assert f"{len(made)} views made, 0 kept, {2 - len(made)} failed" in words(run.stderr)
+    assert {"procedural-9-0000", "procedural-9-0000-1"} == made.keys()
+    assert len({line["scene"] for line in made.values()}) == 1
+
+
 def test_half_error_estimates_the_error_of_the_mean() -> None:
     rng = np.random.default_rng(0)
     truth = rng.uniform(0.2, 1, (64, 64, 3))
