@@ -10,6 +10,7 @@ import pytest
 import torch
 from pathfold.models import ALL_SAMPLES
 from pathfold_training import cli, data, store
+from pathfold_training.average import average
 from pathfold_training.config import Config, Data, Loss, Network, Optimiser
 from pathfold_training.data import (
     PATH_NAMES,
@@ -113,6 +114,44 @@ def test_a_model_folder_starts_a_run_where_it_stood(data_set: Path, tmp_path: Pa
     start = start_record(folder)
     assert start is not None
     assert (start["preset"], start["steps"]) == ("tiny", 2)
+
+
+def test_averaged_runs_have_the_mean_of_their_weights(
+    data_set: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = [tmp_path / "one", tmp_path / "two"]
+    one = fit(TINY.with_steps(1), data_set, runs[0], seed=1, validate_every=1000, threads=1)
+    two = fit(TINY.with_steps(2), data_set, runs[1], seed=2, validate_every=1000, threads=1, start_from=one)
+    out = tmp_path / "mean"
+    monkeypatch.setattr(sys, "argv", ["pathfold-train", "average", str(runs[1]), str(runs[0]), "-o", str(out)])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    assert not stop.value.code
+    first, second, mean = (weights(checkpoint) for checkpoint in (one, two, out / "last.ckpt"))
+    assert any(not torch.equal(first[name], second[name]) for name in first)
+    for name, value in mean.items():
+        torch.testing.assert_close(value, (first[name] + second[name]) / 2, msg=name)
+    folder = export(out / "last.ckpt", tmp_path / "model", json.loads((out / "record.json").read_text()))
+    training = json.loads((folder / "manifest.json").read_text())["training"]
+    assert (training["seed"], training["steps"]) == (2, 2)
+    assert [(other["seed"], other["steps"]) for other in training["averaged_with"]] == [(1, 1)]
+    assert "; averaged with the run of seed 1 and commit " in (folder / "README.md").read_text()
+
+
+def test_runs_that_cannot_be_averaged_are_named(data_set: Path, tmp_path: Path) -> None:
+    other = TINY.model_copy(update={"network": TINY.network.model_copy(update={"width": 6})})
+    for name, config in (("one", TINY), ("two", other)):
+        fit(config.with_steps(1), data_set, tmp_path / name, validate_every=1000, threads=1)
+    one, two = tmp_path / "one", tmp_path / "two"
+    with pytest.raises(ValueError, match=r"two has another network than .*one"):
+        average([one, two], tmp_path / "mean")
+    with pytest.raises(ValueError, match="two runs or more"):
+        average([one], tmp_path / "mean")
+    with pytest.raises(ValueError, match="one is one of the runs"):
+        average([one, one], one)
+    with pytest.raises(FileNotFoundError, match="nothing"):
+        average([one, tmp_path / "nothing"], tmp_path / "mean")
+    assert not (tmp_path / "mean").exists()
 
 
 def test_other_preset_and_missing_data_are_named(data_set: Path, tmp_path: Path) -> None:

@@ -31,6 +31,8 @@ def model_card(manifest: dict[str, Any], errors: str = "") -> str:
     paths = f"; the paths of the first {embedded} are looked at" if embedded else ""
     cost = f"{training['kmac_per_pixel']:.0f} kMAC per pixel at 8 spp, {operator}"
     steps = f"{training['steps']} of {crops['batch']} crops of {crops['crop']}x{crops['crop']} pixels{begun}"
+    for other in training.get("averaged_with", ()):
+        steps += f"; averaged with the run of seed {other['seed']} and commit {other['commit']}"
     precision = manifest["precision"]
     for variant, block in manifest.get("variants", {}).items():
         precision += f"; {variant} with {block['rell2_over_fp32']:.4g} times the RelL2 on held-out views"

@@ -1,4 +1,4 @@
-"""`pathfold-train render | dataset | fit | export | evaluate | card`: each works in the module of its name."""
+"""`pathfold-train render | dataset | fit | average | export | evaluate | card`: each works in its module."""
 
 from __future__ import annotations
 
@@ -161,6 +161,17 @@ def fit(
     source = data or Live(variant)
     last = run(config, source, out, seed, threads, start_from=start_from, devices=devices, nodes=nodes)
     rank_zero_only(console.print)(f"checkpoint: {last}")
+
+
+@app.command()
+def average(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="folders of 'fit', of one network")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder of the averaged run")],
+) -> None:
+    """Average the weights of runs that went from one to the next. What else is recorded is the first one's."""
+    from .average import average as run
+
+    console.print(f"checkpoint: {run(runs, out)}")
 
 
 @app.command()

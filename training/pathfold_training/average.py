@@ -1,0 +1,45 @@
+"""`pathfold-train average`: runs of one network as one, whose weights are the mean of theirs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .fit import RECORD
+
+
+def average(runs: Sequence[Path], out: Path) -> Path:
+    """Write out/last.ckpt and its record, of the first of `runs` but for the weights, and return the checkpoint.
+
+    Each run counts alike, by its moving average. It pays for runs that went from one to the next, which lie in one
+    valley of the loss (Izmailov et al. 2018, "Averaging Weights Leads to Wider Optima and Better Generalization"), not
+    for runs from different first weights. Raises ValueError for fewer than two runs or for different networks,
+    FileNotFoundError where a run has no checkpoint or record.
+    """
+    if len(runs) < 2:
+        raise ValueError("give two runs or more to average")
+    if out.resolve() in [run.resolve() for run in runs]:
+        raise ValueError(f"-o {out} is one of the runs; give another folder")
+    states = [torch.load(run / "last.ckpt", map_location="cpu", weights_only=True) for run in runs]
+    records = [json.loads((run / RECORD).read_text()) for run in runs]
+    networks = [state["hyper_parameters"]["config"]["network"] for state in states]
+    for run, network in zip(runs, networks, strict=True):
+        if network != networks[0]:
+            raise ValueError(f"{run} has another network than {runs[0]}; average runs of one preset")
+    weights = [state["state_dict"] for state in states]
+    for name, value in weights[0].items():
+        if value.is_floating_point():
+            weights[0][name] = torch.stack([each[name] for each in weights]).mean(0)
+    others = [
+        {"commit": record["commit"], "seed": record["seed"], "steps": state["global_step"]}
+        for record, state in zip(records[1:], states[1:], strict=True)
+    ]
+    out.mkdir(parents=True, exist_ok=True)
+    record: dict[str, Any] = records[0] | {"averaged_with": others}
+    (out / RECORD).write_text(json.dumps(record, indent=2) + "\n")
+    torch.save(states[0], out / "last.ckpt")
+    return out / "last.ckpt"
