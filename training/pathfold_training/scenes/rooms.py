@@ -259,7 +259,7 @@ def _middle(stage: Stage, size: Array) -> None:
 def room(stage: Stage, blur: float) -> Propose:
     rng = stage.rng
     if rng.uniform() < 0.4:
-        stage.tones = white(rng)
+        stage.tones = white(float(rng.uniform()))
     tones = stage.tones
     size = np.array([rng.uniform(2.2, 7), rng.uniform(2.6, 7), rng.uniform(2.3, 3.6)])
     x, y, z = size

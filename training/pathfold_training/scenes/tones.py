@@ -31,16 +31,16 @@ def linear(hue: float, saturation: float, value: float) -> list[float]:
     return [min(0.9, max(0.005, c**2.2)) for c in hsv_to_rgb(hue % 1, saturation, value)]
 
 
-def white(rng: Generator) -> Tones:
-    """White paint and linen, and a few things that stand out."""
-    return Tones((0.09, float(rng.uniform())), 0.03, (0, 0.12), (0.75, 0.97), 0.12)
+def white(hue: float) -> Tones:
+    """White paint and linen, some with a touch of the hue, and a few things that stand out."""
+    return Tones((0.09, hue), 0.03, (0, 0.12), (0.75, 0.97), 0.12)
 
 
 def draw(rng: Generator) -> Tones:
     """White, grey, dark, earthen, pastel, vivid, of one hue, of two opposite ones, or anything."""
     hue = float(rng.uniform())
     schemes = (
-        Tones((0.09, hue), 0.03, (0, 0.12), (0.75, 0.97), 0.12),
+        white(hue),
         Tones((hue,), 0.1, (0, 0.1), (0.25, 0.9), 0.15),
         Tones((hue, hue + 0.1), 0.05, (0, 0.6), (0.1, 0.5), 0.1),
         Tones((0.05, 0.09, 0.13), 0.02, (0.2, 0.65), (0.3, 0.9), 0.05),
