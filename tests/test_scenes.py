@@ -195,12 +195,8 @@ def test_every_item_stands_on_the_ground_at_about_its_size(kind: str) -> None:
     assert max(box.max.x, box.max.y, -box.min.x, -box.min.y) < 3
 
 
-def mouldings(stage: Stage) -> None:
-    fittings.mouldings(stage, np.eye(4), 4, 2.5, stage.material("matte"))
-
-
 FITTINGS = {
-    "mouldings": mouldings,
+    "mouldings": lambda stage: fittings.mouldings(stage, np.eye(4), 4, 2.5, stage.material("matte")),
     "door": lambda stage: fittings.door(stage, np.eye(4), stage.material("matte")),
     "radiator": lambda stage: fittings.radiator(stage, np.eye(4), stage.material("matte")),
     "kitchen": lambda stage: fittings.kitchen(stage, np.eye(4), 3.5),

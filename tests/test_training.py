@@ -147,8 +147,8 @@ def test_runs_that_cannot_be_averaged_are_named(data_set: Path, tmp_path: Path) 
         average([one, two], tmp_path / "mean")
     with pytest.raises(ValueError, match="two runs or more"):
         average([one], tmp_path / "mean")
-    with pytest.raises(ValueError, match="one is one of the runs"):
-        average([one, one], one)
+    with pytest.raises(ValueError, match="two holds a run already"):
+        average([one, one], two)
     with pytest.raises(FileNotFoundError, match="nothing"):
         average([one, tmp_path / "nothing"], tmp_path / "mean")
     assert not (tmp_path / "mean").exists()

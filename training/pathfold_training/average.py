@@ -17,13 +17,13 @@ def average(runs: Sequence[Path], out: Path) -> Path:
 
     Each run counts alike, by its moving average. It pays for runs that went from one to the next, which lie in one
     valley of the loss (Izmailov et al. 2018, "Averaging Weights Leads to Wider Optima and Better Generalization"), not
-    for runs from different first weights. Raises ValueError for fewer than two runs or for different networks,
-    FileNotFoundError where a run has no checkpoint or record.
+    for runs from different first weights. Raises ValueError for fewer than two runs, for different networks and
+    where `out` holds a run, FileNotFoundError where a run has no checkpoint or record.
     """
     if len(runs) < 2:
         raise ValueError("give two runs or more to average")
-    if out.resolve() in [run.resolve() for run in runs]:
-        raise ValueError(f"-o {out} is one of the runs; give another folder")
+    if (out / "last.ckpt").exists():
+        raise ValueError(f"-o {out} holds a run already; give another folder")
     states = [torch.load(run / "last.ckpt", map_location="cpu", weights_only=True) for run in runs]
     records = [json.loads((run / RECORD).read_text()) for run in runs]
     networks = [state["hyper_parameters"]["config"]["network"] for state in states]
