@@ -22,6 +22,7 @@ from . import store
 from .clean import cleaned
 from .config import Data
 from .features import OPTIONAL
+from .magnify import Magnifier, window
 from .store import Line, Store
 
 COLORED_LOGS = 24  # descriptor channels 0..23 are RGB triples
@@ -233,20 +234,44 @@ class Crops(IterableDataset):
             yield collate([self.draw(drawn[item], size, rngs[item]) for item in self.items])
 
     def draw(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
-        low, high = (math.log2(min(number, view.samples)) for number in (self.data.spp_min, self.data.spp_max))
-        number = round(2 ** rng.uniform(low, high))
-        numbers = view.subset(number, self.paths, rng)
-        y, x = view.corner(size, rng)
-        samples, reference = view.crop(y, x, size, numbers, self.paths)
-        if self.albedo:
-            reference["albedo"] = view.albedo(y, x, samples["samples.albedo"])
-        if self.data.cleaned:
-            reference["cleaned"] = view.cleaned[:, y : y + size, x : x + size]
+        magnified = self.data.magnified > 0.0 and rng.random() < self.data.magnified
+        samples, reference = self.magnified(view, size, rng) if magnified else self.plain(view, size, rng)
         inputs = frame_inputs(samples, view.exposure, view.depth_scale)
         augment(inputs, reference, rng, self.data.normal_turn)  # of means, not of each sample: it is the same
         inputs["exposure"] = inputs["exposure"] * 2 ** rng.uniform(-1.0, 1.0)
         drop_inputs(inputs, rng, self.data)
         return inputs, reference
+
+    def plain(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
+        """Any of the view's samples and pixels, as they are stored."""
+        numbers = view.subset(self.count(view.samples, rng), self.paths, rng)
+        y, x = view.corner(size, rng)
+        samples, reference = view.crop(y, x, size, numbers, self.paths)
+        return samples, reference | self.targets(view, y, x, samples["samples.albedo"])
+
+    def magnified(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
+        """Up to four times as large; with fewer samples, as a stored pixel's are shared by more pixels."""
+        factor = 2 ** rng.uniform(0.0, 2.0)
+        side = min(window(size, factor), view.side)
+        y, x = view.corner(side, rng)
+        count = self.count(max(1, int(view.samples / factor**2)), rng)
+        paths = min(count, self.paths, view.described)
+        larger = Magnifier(size, side, factor, count, paths, view.samples, view.described, rng)
+        numbers = view.subset(int(larger.slots.max()) + 1, view.described, rng)
+        stored, reference = view.crop(y, x, side, numbers, int(larger.slots[:paths].max(initial=-1)) + 1)
+        samples = {n: larger.samples(v, paths if n in PATH_NAMES else count) for n, v in stored.items()}
+        reference |= self.targets(view, y, x, stored["samples.albedo"])
+        return samples, {name: larger.image(image) for name, image in reference.items()}
+
+    def count(self, most: int, rng: np.random.Generator) -> int:
+        low, high = (math.log2(min(number, most)) for number in (self.data.spp_min, self.data.spp_max))
+        return round(2 ** rng.uniform(low, high))
+
+    def targets(self, view: View, y: int, x: int, albedo: Tensor) -> Inputs:
+        """What there is beside the reference to learn from; `albedo` is of all samples that are given."""
+        height, width = albedo.shape[2:]
+        targets = {"albedo": view.albedo(y, x, albedo)} if self.albedo else {}
+        return targets | ({"cleaned": view.cleaned[:, y : y + height, x : x + width]} if self.data.cleaned else {})
 
 
 class ValidationViews(Dataset):

@@ -1,0 +1,75 @@
+"""Magnified crops: their mean is the interpolated picture, and no sample is used twice while there are enough."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from pathfold_training.config import Data
+from pathfold_training.data import Crops, Stored
+from pathfold_training.magnify import Magnifier, turns, window
+from training_data import write_data_set
+
+
+def larger(factor: float, count: int, samples: int, paths: int = 2, size: int = 24, seed: int = 0) -> Magnifier:
+    rng = np.random.default_rng(seed)
+    return Magnifier(size, window(size, factor), factor, count, paths, samples, min(samples, 16), rng)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.7, 4.0])
+def test_mean_of_samples_is_the_interpolated_image(factor: float) -> None:
+    magnifier = larger(factor, 4000, 100000, paths=0)
+    side = magnifier.side
+    image = torch.rand(3, side, side, generator=torch.Generator().manual_seed(1))
+    magnifier.slots[:] = 0  # each stored pixel has one sample, its value
+    mean = magnifier.samples(image[None], 4000).mean(0)
+    expected = magnifier.image(image)
+    assert float((mean - expected).abs().max()) < 5 * 0.5 / 4000**0.5
+    assert float((mean - expected).mean().abs()) < 1e-3
+    rows = torch.arange(side, dtype=torch.float32)[:, None].expand(side, side)
+    climb = magnifier.image(rows[None])[0].diff(dim=0)
+    torch.testing.assert_close(climb, torch.full_like(climb, 1 / factor), rtol=1e-3, atol=1e-4)
+
+
+def test_no_sample_is_used_twice_while_there_are_enough() -> None:
+    magnifier = larger(2.0, 6, 64, paths=1)
+    used = magnifier.slots * magnifier.side**2 + magnifier.pixels
+    assert magnifier.slots.max() < 64
+    assert len(np.unique(used)) == used.size
+    scarce = larger(4.0, 4, 8, paths=2)
+    assert scarce.slots.max() == 7
+    assert larger(4.0, 4, 64, paths=2).slots[:2].max() < 16
+
+
+def test_samples_are_those_of_their_pixel_and_turn() -> None:
+    magnifier = larger(3.0, 3, 64)
+    side = magnifier.side
+    stored = torch.arange(64 * 2 * side * side, dtype=torch.float32).reshape(64, 2, side, side)
+    taken = magnifier.samples(stored, 2)
+    assert taken.shape == (2, 2, 24, 24)
+    for k, y, x in ((0, 0, 0), (1, 5, 23), (0, 23, 11)):
+        row, column = divmod(int(magnifier.pixels[k, y, x]), side)
+        assert taken[k, :, y, x].tolist() == stored[magnifier.slots[k, y, x], :, row, column].tolist()
+
+
+def test_turns_count_what_came_before() -> None:
+    assert turns(np.array([3, 1, 3, 3, 0, 1])).tolist() == [0, 0, 1, 2, 0, 1]
+
+
+@pytest.mark.parametrize("paths", [0, 2])
+def test_batches_of_magnified_crops_look_like_others(tmp_path: Path, paths: int) -> None:
+    stored = Stored(write_data_set(tmp_path / "data"))
+    settings = Data(crop=24, batch=2, spp_max=8, cleaned=True)
+    plain = next(iter(Crops(stored, settings, 3, paths, albedo=True)))
+    magnified = Crops(stored, settings.model_copy(update={"magnified": 1.0}), 3, paths, albedo=True)
+    batch, again = (next(iter(magnified)) for _ in range(2))
+    assert batch.inputs.keys() == plain.inputs.keys() and batch.reference.keys() == plain.reference.keys()
+    for name, value in batch.inputs.items():
+        assert value.shape[1:] == plain.inputs[name].shape[1:], name
+        assert torch.equal(value, again.inputs[name]), name
+    for name, value in batch.reference.items():
+        assert value.shape == plain.reference[name].shape, name
+        assert name == "albedo" or value.isfinite().all()
+    assert len(batch.counts) == 2 and all(1 <= count <= max(1, paths) for count in batch.counts)
