@@ -270,6 +270,20 @@ def test_render_in_bands_shows_the_same_picture(run, tmp_path: Path, monkeypatch
         assert np.abs(whole.read(0, [*at]) - bands.read(0, [*at])).mean() < 0.02
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs processes that can be held to one core")
+def test_render_on_one_core(tmp_path: Path) -> None:
+    write(tmp_path / "sky.exr", [part("", RGB, ["float"] * 3, noise(3))])  # a reader that shares its work out
+    sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter></scene>'
+    (tmp_path / "scene.xml").write_text(SCENE.replace("</scene>", sky))
+    code = (
+        "import os, sys; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from pathfold.cli import app;"
+        "sys.argv = ['pathfold', 'render', 'scene.xml', '-o', 'out.exr', '--spp', '1', '--quiet']; app()"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr
+    assert (tmp_path / "out.exr").is_file()
+
+
 def test_a_variant_without_its_driver_is_named(run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mi = pytest.importorskip("mitsuba")
 

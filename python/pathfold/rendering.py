@@ -207,6 +207,9 @@ def load_mitsuba(variant: str) -> Any:
             f"--variant {variant}: cannot run here: {_last_words(error).rstrip('.')}; use llvm_ad_rgb"
         ) from error
     mi.set_log_level(mi.LogLevel.Error)
+    import drjit as dr
+
+    dr.set_thread_count(max(2, dr.thread_count()))  # with one, on one core, Mitsuba's loaders wait for each other
     return mi
 
 
