@@ -11,6 +11,7 @@ from pathfold_training.losses import (
     albedo_error,
     energy_error,
     geometric,
+    halves_error,
     manifold_loss,
     median3x3,
     robust_relative,
@@ -201,6 +202,16 @@ def test_a_noisy_target_does_not_bias_the_cleaned_albedo() -> None:
     once = albedo_error(cleaned[:1], target, torch.ones(1))
     assert float(albedo_error(cleaned, both, torch.ones(2))) == pytest.approx(float(once) / 2)
     assert float(albedo_error(cleaned, both, nothing)) == 0.0
+
+
+def test_error_by_halves_leaves_out_the_noise_of_the_reference() -> None:
+    generator = torch.Generator().manual_seed(0)
+    truth = torch.full((1, 3, 64, 64), 2.0)
+    a, b = (truth + 0.1 * torch.randn(truth.shape, generator=generator) for _ in range(2))
+    expected = 0.1**2 / (4 + 0.01)
+    assert float(halves_error(truth + 0.1, a, b)) == pytest.approx(expected, rel=0.15)
+    assert float(((truth + 0.1 - (a + b) / 2) ** 2 / 4.01).mean()) > 1.4 * expected
+    assert float(halves_error((a + b) / 2 + 1e-3, a, b)) > 0.0
 
 
 def test_robust_relative() -> None:

@@ -97,6 +97,12 @@ class View:
         whole = weight.astype(np.float64).ravel()
         return np.cumsum(whole / whole.sum())
 
+    def halves(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The window's reference [3, H, W] twice, of independent samples."""
+        y, x = slice(self.top, self.top + self.side), slice(self.left, self.left + self.side)
+        a, b = (np.nan_to_num(self.tensor(f"reference.half_{name}.color")[:, y, x], posinf=0.0) for name in "ab")
+        return a, b
+
     @cached_property
     def cleaned(self) -> Tensor:
         """The window's reference [3, H, W] by clean.cleaned; takes a third of a second for 128 x 128 pixels.
@@ -108,8 +114,7 @@ class View:
                 kept = np.load(self.kept)
                 if kept.shape == (3, self.side, self.side):
                     return torch.from_numpy(kept)
-        y, x = slice(self.top, self.top + self.side), slice(self.left, self.left + self.side)
-        a, b = (np.nan_to_num(self.tensor(f"reference.half_{name}.color")[:, y, x], posinf=0.0) for name in "ab")
+        a, b = self.halves()
         albedo, normal = (
             np.nan_to_num(self.tensor(f"samples.{name}")[self.number].astype(np.float32).mean(0), posinf=0.0)
             for name in ("albedo", "normal")
@@ -275,7 +280,10 @@ class Crops(IterableDataset):
 
 
 class ValidationViews(Dataset):
-    """Whole held-out windows, a Batch each: `spp` samples or all there are, all inputs; `paths` as of Crops."""
+    """Whole held-out windows, a Batch each: `spp` samples or all there are, all inputs; `paths` as of Crops.
+
+    References have `half_a` and `half_b` too.
+    """
 
     def __init__(self, views: Sequence[View], paths: int, spp: int = 8) -> None:
         self.views, self.paths, self.spp = views, paths, spp
@@ -286,6 +294,7 @@ class ValidationViews(Dataset):
     def __getitem__(self, index: int) -> Batch:
         view = self.views[index]
         samples, reference = view.crop(0, 0, view.side, np.arange(min(self.spp, view.samples)), self.paths)
+        reference |= {f"half_{name}": torch.from_numpy(h) for name, h in zip("ab", view.halves(), strict=True)}
         return collate([(frame_inputs(samples, view.exposure, view.depth_scale), reference)])
 
 

@@ -56,6 +56,17 @@ def robust_relative(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
     return torch.where(d < 2.0, d.square(), 4.0 + 8.0 * torch.log(torch.clamp(d, min=2.0) / 2.0)).mean((1, 2, 3))
 
 
+def halves_error(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    """RelL2 without the reference's noise, of its halves: mean of (x - a)(x - b) / (r^2 + eps). Exposed radiance.
+
+    At least a tenth of what it is against the mean r of both, as chance can make the product's mean negative.
+    """
+    reference = (a + b) / 2
+    weight = 1.0 / (reference.square() + RELATIVE_EPSILON)
+    least = 0.1 * ((image - reference).square() * weight).mean()
+    return torch.maximum(((image - a) * (image - b) * weight).mean(), least)
+
+
 def geometric(errors: Tensor) -> Tensor:
     """The errors [B] of images as one number, which falls with their geometric mean.
 

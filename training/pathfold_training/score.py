@@ -25,8 +25,8 @@ def load(checkpoint: Path) -> Denoising:
 def score(task: Denoising, views: Sequence[View], spp: int = 8, paths: bool = True) -> float:
     """Mean log of RelL2 over the noisy input's at `spp`, over whole windows; lower is better.
 
-    Scenes weigh alike, however many windows each has. `paths` False takes the descriptors away from a network that
-    could use them.
+    Free of the references' noise. Scenes weigh alike, however many windows each has. `paths` False takes the
+    descriptors away from a network that could use them.
     """
     frames = ValidationViews(views, task.config.network.path_samples, spp)
     logs = []

@@ -20,6 +20,7 @@ from .losses import (
     energy_error,
     error_scale,
     geometric,
+    halves_error,
     logit_excess,
     manifold_loss,
     robust_relative,
@@ -178,12 +179,15 @@ class Denoising(lightning.LightningModule):
         self.log("val_ratio_log", self.ratio_log(batch), prog_bar=True, batch_size=1, sync_dist=True)
 
     def ratio_log(self, batch: Batch) -> Tensor:
-        """Logarithm of the denoised frame's RelL2, exposed, over that of its noisy input."""
+        """Logarithm of the denoised frame's RelL2, exposed, over its noisy input's; of a batch of ValidationViews.
+
+        Both are freed of the reference's noise by its halves: at many samples that noise is as large as the error.
+        """
         exposure = batch.inputs["exposure"].reshape(-1, 1, 1, 1)
-        reference = batch.reference["color"] * exposure
-        error = (self.denoise(batch) * exposure - reference).square() / (reference.square() + 0.01)
-        noisy = (batch.inputs["color"] * exposure - reference).square() / (reference.square() + 0.01)
-        return torch.log(error.mean() / noisy.mean())
+        a, b = batch.reference["half_a"] * exposure, batch.reference["half_b"] * exposure
+        return torch.log(
+            halves_error(self.denoise(batch) * exposure, a, b) / halves_error(batch.inputs["color"] * exposure, a, b)
+        )
 
     def denoise(self, batch: Batch) -> Tensor:
         """The whole frame, linear unexposed radiance B x 3 x H x W."""
