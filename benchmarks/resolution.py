@@ -2,9 +2,10 @@
 
     python benchmarks/resolution.py SCENES... [--model pathfold-balanced ... --width 128 320 640 --spp 8]
 
-SCENES are Mitsuba scenes as `pathfold bench` takes them, seen in the aspect of their own film. Every frame is rendered at `--spp` with seed 0,
-and twice more with others, at `--reference-spp` in all: the error is RelL2 by these two halves, free of their noise. A
-Markdown table of each method's error over OIDN's (quality high); models are pathfold-balanced where none is named.
+SCENES are Mitsuba scenes as `pathfold bench` takes them, in the aspect of their own film; of a camera path the first
+frame counts. It is rendered at `--spp` with seed 0, and twice more with others, at `--reference-spp` in all: the error
+is RelL2 by these two halves, free of their noise. A Markdown table of each method's error over OIDN's (quality high);
+models are pathfold-balanced where none is named.
 """
 
 import argparse
@@ -35,12 +36,6 @@ def halves(subject: MitsubaSubject, size: tuple[int, int], spp: int) -> list[NDA
     return means
 
 
-def error(image: NDArray[np.float32], a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """RelL2 against two halves of a reference."""
-    pixels = image.astype(np.float64)
-    return float(((pixels - a) * (pixels - b) / (((a + b) / 2) ** 2 + metrics.EPSILON)).mean())
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path, nargs="+")
@@ -67,7 +62,9 @@ def main() -> None:
             errors = []
             for candidate, run in methods:
                 read = {name: shot.buffers[name] for name in candidate.reads & shot.buffers.keys()}
-                errors.append(error(run(read, None, options.spp), a, b))
+                errors.append(metrics.rell2_halves(run(read, None, options.spp), a, b))
+            if min(errors) <= 0:
+                parser.error(f"{subject.name}: too noisy a reference; give more --reference-spp")
             over = [each / errors[0] for each in errors[1:]]
             ratios[width].append(over)
             cells = " | ".join(f"{ratio:.3f}" for ratio in over)

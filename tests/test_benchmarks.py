@@ -22,7 +22,6 @@ import ablation
 import energy
 import loader
 import paths_gain
-import resolution
 
 TINY = {
     "network": {"widths": [16, 16, 16, 16], "convolutions": [1, 1, 1, 1], "embedding": 2},
@@ -110,14 +109,6 @@ def test_bias_is_told_from_variance_and_from_the_noise_of_the_reference() -> Non
     assert found["energies"] == pytest.approx([0.9] * 8, abs=0.005)
     assert found["bias"] == pytest.approx(0.2**2 / 4.01, rel=0.1)
     assert found["variance"] == pytest.approx(0.4**2 / 4.01, rel=0.02)
-
-
-def test_error_by_halves_is_free_of_their_noise() -> None:
-    rng = np.random.default_rng(0)
-    a, b = (rng.normal(2.0, 0.1, (200, 200, 3)) for _ in range(2))
-    found = resolution.error(np.full(a.shape, 1.8, np.float32), a, b)
-    weight = 1 / ((a + b) ** 2 / 4 + 0.01)
-    assert found == pytest.approx(0.2**2 * weight.mean(), rel=0.05)
 
 
 def test_pixels_are_classed_by_what_most_samples_do() -> None:

@@ -272,6 +272,7 @@ def test_render_in_bands_shows_the_same_picture(run, tmp_path: Path, monkeypatch
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs processes that can be held to one core")
 def test_render_on_one_core(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
     write(tmp_path / "sky.exr", [part("", RGB, ["float"] * 3, noise(3))])  # a reader that shares its work out
     sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter></scene>'
     (tmp_path / "scene.xml").write_text(SCENE.replace("</scene>", sky))

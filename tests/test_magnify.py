@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 from pathfold_training.config import Data
-from pathfold_training.data import Crops, Stored
+from pathfold_training.data import PATH_NAMES, Crops, Stored, View
 from pathfold_training.magnify import Magnifier, turns, window
-from training_data import write_data_set
+from training_data import SIDE, view_tensors, write_data_set
 
 
 def larger(factor: float, count: int, samples: int, paths: int = 2, size: int = 24, seed: int = 0) -> Magnifier:
@@ -72,4 +72,37 @@ def test_batches_of_magnified_crops_look_like_others(tmp_path: Path, paths: int)
     for name, value in batch.reference.items():
         assert value.shape == plain.reference[name].shape, name
         assert name == "albedo" or value.isfinite().all()
-    assert len(batch.counts) == 2 and all(1 <= count <= max(1, paths) for count in batch.counts)
+    assert len(batch.counts) == 2 and all(1 <= count <= (paths or settings.spp_max) for count in batch.counts)
+
+
+def view_of_many_samples(noisy: bool) -> View:
+    """64 samples of each pixel, 16 of them described; without noise each is the reference."""
+    tensors = {n: np.concatenate([v] * 8, 1) if n.startswith("samples.") else v for n, v in view_tensors(0).items()}
+    if not noisy:
+        tensors["samples.radiance"] = np.broadcast_to(tensors["reference.color"], (1, 64, 3, SIDE, SIDE))
+    described = {name: tensors[name][:, :16] for name in PATH_NAMES}
+    line = {"scene": "smooth", "spp": 64, "described": 16, "crop": SIDE, "crops": [[0, 0]]}
+    line |= {"exposure": 1.0, "depth_scale": 1.0}
+    return View(line, (tensors | described).__getitem__, 0)
+
+
+def test_a_magnified_crop_shows_what_its_reference_does_and_its_own_paths() -> None:
+    settings = Data(crop=24, batch=1, spp_max=8, drop=0.0, drop_all=0.0, drop_split=0.0, magnified=1.0, cleaned=False)
+    still, noisy = (view_of_many_samples(noise) for noise in (False, True))
+    known = 0
+    for step in range(12):
+        rng = np.random.default_rng(step)
+        samples, reference = Crops(lambda _: [still], settings, 0, 2, albedo=True).enlarged(still, 24, rng)
+        difference = samples["samples.radiance"].mean(0) - reference["color"]
+        assert float(difference.abs().max()) < 2 / SIDE  # the slope of a stored pixel
+        assert float(difference.mean((1, 2)).abs().max()) < 0.1 / SIDE
+        target = reference["albedo"]
+        if known_here := bool(target.isfinite().all()):
+            torch.testing.assert_close(target, reference["color"], rtol=0.01, atol=0.01)
+        known += known_here
+        samples, _ = Crops(lambda _: [noisy], settings, 0, 2).enlarged(noisy, 24, rng)
+        paths = samples["samples.descriptor"].float()
+        assert 1 <= len(paths) <= 2
+        logs = samples["samples.radiance"][: len(paths)].log()
+        torch.testing.assert_close(paths[:, :3], logs, rtol=0.01, atol=0.01)
+    assert known >= 3

@@ -80,7 +80,7 @@ class Data(Strict):
     drop_all: float = 0.05  # ... that everything beyond color (and samples) is absent
     drop_split: float = 0.15
     drop_paths: float = 0.0  # ... that the samples are absent, for networks that can do without
-    magnified: float = 0.0  # ... that a crop is magnified, one to four times (magnify.py)
+    magnified: float = 0.0  # ... that a crop is magnified, one to three times (magnify.py)
     cleaned: bool = False  # the pathfold family learns from references cleaned by clean.py, not from them as they are
     normal_turn: float = 0.3  # probability of a random rotation, so that world space works too
 

@@ -22,7 +22,7 @@ from . import store
 from .clean import cleaned
 from .config import Data
 from .features import OPTIONAL
-from .magnify import Magnifier, window
+from .magnify import MOST, SHARE, Magnifier, window
 from .store import Line, Store
 
 COLORED_LOGS = 24  # descriptor channels 0..23 are RGB triples
@@ -239,36 +239,39 @@ class Crops(IterableDataset):
             yield collate([self.draw(drawn[item], size, rngs[item]) for item in self.items])
 
     def draw(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
-        magnified = self.data.magnified > 0.0 and rng.random() < self.data.magnified
-        samples, reference = self.magnified(view, size, rng) if magnified else self.plain(view, size, rng)
+        magnify = self.data.magnified > 0.0 and rng.random() < self.data.magnified
+        samples, reference = self.enlarged(view, size, rng) if magnify else self.as_stored(view, size, rng)
         inputs = frame_inputs(samples, view.exposure, view.depth_scale)
         augment(inputs, reference, rng, self.data.normal_turn)  # of means, not of each sample: it is the same
         inputs["exposure"] = inputs["exposure"] * 2 ** rng.uniform(-1.0, 1.0)
         drop_inputs(inputs, rng, self.data)
         return inputs, reference
 
-    def plain(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
-        """Any of the view's samples and pixels, as they are stored."""
-        numbers = view.subset(self.count(view.samples, rng), self.paths, rng)
+    def as_stored(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
+        """Any of the view's samples, a stored pixel each."""
+        numbers = view.subset(self.draw_number(view.samples, rng), self.paths, rng)
         y, x = view.corner(size, rng)
         samples, reference = view.crop(y, x, size, numbers, self.paths)
         return samples, reference | self.targets(view, y, x, samples["samples.albedo"])
 
-    def magnified(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
-        """Up to four times as large; with fewer samples, as a stored pixel's are shared by more pixels."""
-        factor = 2 ** rng.uniform(0.0, 2.0)
+    def enlarged(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
+        """Magnified by magnify.py; of fewer samples, as more pixels share those of a stored one."""
+        factor = 2 ** rng.uniform(0.0, math.log2(MOST))
         side = min(window(size, factor), view.side)
         y, x = view.corner(side, rng)
-        count = self.count(max(1, int(view.samples / factor**2)), rng)
-        paths = min(count, self.paths, view.described)
-        larger = Magnifier(size, side, factor, count, paths, view.samples, view.described, rng)
-        numbers = view.subset(int(larger.slots.max()) + 1, view.described, rng)
-        stored, reference = view.crop(y, x, side, numbers, int(larger.slots[:paths].max(initial=-1)) + 1)
-        samples = {n: larger.samples(v, paths if n in PATH_NAMES else count) for n, v in stored.items()}
+        share = SHARE / factor**2
+        number = self.draw_number(max(1, int(share * view.samples)), rng)
+        paths = min(number, self.paths, max(1, int(share * view.described)))
+        magnifier = Magnifier(size, side, factor, number, paths, view.samples, view.described, rng)
+        numbers = view.subset(int(magnifier.slots.max()) + 1, view.described, rng)
+        described = int(magnifier.slots[:paths].max(initial=-1)) + 1
+        stored, reference = view.crop(y, x, side, numbers, described)
+        samples = {n: magnifier.samples(v, paths if n in PATH_NAMES else number) for n, v in stored.items()}
         reference |= self.targets(view, y, x, stored["samples.albedo"])
-        return samples, {name: larger.image(image) for name, image in reference.items()}
+        return samples, {name: magnifier.image(image) for name, image in reference.items()}
 
-    def count(self, most: int, rng: np.random.Generator) -> int:
+    def draw_number(self, most: int, rng: np.random.Generator) -> int:
+        """Samples of a pixel, at most `most`, log-uniform."""
         low, high = (math.log2(min(number, most)) for number in (self.data.spp_min, self.data.spp_max))
         return round(2 ** rng.uniform(low, high))
 

@@ -2,8 +2,8 @@
 
 Pictures to denoise have many more pixels than training views, so that what they show is smoother from pixel to pixel.
 A pixel between four stored ones takes each of its samples from one of these, drawn with the weight of bilinear
-interpolation: its expectation is the interpolated reference exactly, and its noise is its own while the stored samples
-of a pixel suffice.
+interpolation: its expectation is just the interpolated reference, and its noise its own while stored samples suffice.
+Edges become ramps, as wide as a stored pixel: to that a larger picture is alike where it is smooth or out of focus.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 Places = NDArray[np.intp]
+
+MOST = 3.0  # times as large: one described sample of a pixel then takes 9 of the 16 that a stored pixel has
+SHARE = 0.6  # of a stored pixel's samples that are used in the mean, since some are drawn from more often
 
 
 @dataclass
@@ -47,9 +50,9 @@ def window(size: int, factor: float) -> int:
 class Magnifier:
     """What a crop of `size` x `size` pixels takes from a window of `side` x `side`.
 
-    `slots`, count x size x size, is the how-manieth of its stored pixel's samples each sample is. The first
-    `paths` samples of a pixel need descriptors, which are stored of `described`; a number that there is no sample for
-    begins again at 0.
+    `slots`, count x size x size, is which of its stored pixel's samples each sample is: each in turn, and from the
+    first again where there are too few. The first `paths` samples of a pixel need descriptors, which are stored of the
+    first `described`.
     """
 
     def __init__(
