@@ -3,11 +3,13 @@
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from pathfold.metrics import rell2
 from pathfold.models import ALL_SAMPLES
 from pathfold_training import cli, data, store
 from pathfold_training.average import average
@@ -26,7 +28,8 @@ from pathfold_training.data import (
 from pathfold_training.export import export
 from pathfold_training.fit import checkpoint_weights, fit, start_record
 from pathfold_training.store import append_line, read_index, write
-from training_data import view_tensors, write_data_set
+from pathfold_training.task import Denoising
+from training_data import SIDE, view_tensors, write_data_set
 
 TINY = Config(
     name="tiny",
@@ -237,6 +240,23 @@ def test_the_albedo_is_told_by_samples_that_were_not_given(data_set: Path) -> No
         own = torch.from_numpy(stored[given])
         np.testing.assert_allclose(view.albedo(2, 4, own).numpy(), others, rtol=1e-5, atol=1e-6)
     assert view.albedo(2, 4, torch.from_numpy(stored[: view.samples // 2 + 1])).isnan().all()
+
+
+def test_a_view_is_scored_without_the_noise_of_its_reference() -> None:
+    tensors = view_tensors(0)
+    noise = 0.05 * np.random.default_rng(1).standard_normal((2, 3, SIDE, SIDE)).astype(np.float32)
+    clean = tensors["reference.color"] + 1.0  # where it is dark, noise makes its weight uncertain
+    halves = {"reference.half_a.color": clean + noise[0], "reference.half_b.color": clean + noise[1]}
+    line = {"scene": "smooth", "spp": 8, "described": 8, "crop": SIDE, "crops": [[0, 0]]}
+    view = View(line | {"exposure": 1.0, "depth_scale": 1.0}, (tensors | halves).__getitem__, 0)
+    batch = ValidationViews([view], ALL_SAMPLES, 4)[0]
+    task = Denoising(TINY)
+    task.denoise = lambda _: torch.from_numpy(clean + 0.04)[None]  # a picture whose error is known
+    noisy = np.moveaxis(batch.inputs["color"][0].numpy(), 0, -1)
+    expected = 0.04**2 * (1 / (clean**2 + 0.01)).mean() / rell2(noisy, np.moveaxis(clean, 0, -1))
+    assert float(task.ratio_log(batch).exp()) == pytest.approx(expected, rel=0.2)
+    with_noise = batch.reference | dict.fromkeys(("half_a", "half_b"), torch.from_numpy(sum(halves.values()) / 2)[None])
+    assert float(task.ratio_log(replace(batch, reference=with_noise)).exp()) > 1.5 * expected
 
 
 def test_cleaned_references_are_kept_until_the_view_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
