@@ -3,7 +3,7 @@
 Pictures to denoise have many more pixels than training views, so that what they show is smoother from pixel to pixel.
 A pixel between four stored ones takes each of its samples from one of these, drawn with the weight of bilinear
 interpolation: its expectation is just the interpolated reference, and its noise its own while stored samples suffice.
-Edges become ramps, as wide as a stored pixel: to that a larger picture is alike where it is smooth or out of focus.
+Edges become ramps as wide as a stored pixel, so only what is smooth or out of focus looks as in a larger picture.
 """
 
 from __future__ import annotations
