@@ -22,7 +22,7 @@ from . import store
 from .clean import cleaned
 from .config import Data
 from .features import OPTIONAL
-from .magnify import MOST, SHARE, Magnifier, window
+from .magnify import MOST, Magnifier, enough, window
 from .store import Line, Store
 
 COLORED_LOGS = 24  # descriptor channels 0..23 are RGB triples
@@ -259,9 +259,8 @@ class Crops(IterableDataset):
         factor = 2 ** rng.uniform(0.0, math.log2(MOST))
         side = min(window(size, factor), view.side)
         y, x = view.corner(side, rng)
-        share = SHARE / factor**2
-        number = self.draw_number(max(1, int(share * view.samples)), rng)
-        paths = min(number, self.paths, max(1, int(share * view.described)))
+        number = self.draw_number(enough(view.samples, factor), rng)
+        paths = min(number, self.paths, enough(view.described, factor))
         magnifier = Magnifier(size, side, factor, number, paths, view.samples, view.described, rng)
         numbers = view.subset(int(magnifier.slots.max()) + 1, view.described, rng)
         described = int(magnifier.slots[:paths].max(initial=-1)) + 1

@@ -57,9 +57,10 @@ def robust_relative(output: Tensor, reference: Tensor, scale: Tensor) -> Tensor:
 
 
 def halves_error(image: Tensor, a: Tensor, b: Tensor) -> Tensor:
-    """RelL2 without the reference's noise, of its halves: mean of (x - a)(x - b) / (r^2 + eps). Exposed radiance.
+    """RelL2 without the reference's noise, of its halves: mean of (x - a)(x - b) / (r^2 + eps).
 
-    At least a tenth of what it is against the mean r of both, as chance can make the product's mean negative.
+    Exposed radiance B x 3 x H x W, one number for the whole batch, as metrics.rell2_halves is for a picture. At least
+    a tenth of what it is against the mean r of both, as chance can make the product's mean negative.
     """
     reference = (a + b) / 2
     weight = 1.0 / (reference.square() + RELATIVE_EPSILON)

@@ -47,12 +47,18 @@ def window(size: int, factor: float) -> int:
     return int(np.ceil((size - 1) / factor)) + 2
 
 
-class Magnifier:
-    """What a crop of `size` x `size` pixels takes from a window of `side` x `side`.
+def enough(stored: int, factor: float) -> int:
+    """The most samples of a pixel, at least 1, that the `stored` ones of each pixel suffice for."""
+    return max(1, int(SHARE * stored / factor**2))
 
-    `slots`, count x size x size, is which of its stored pixel's samples each sample is: each in turn, and from the
-    first again where there are too few. The first `paths` samples of a pixel need descriptors, which are stored of the
-    first `described`.
+
+class Magnifier:
+    """What `count` samples of each of `size` x `size` pixels are, out of a window of `side` x `side` stored pixels.
+
+    A stored pixel, of `samples`, is `factor` pixels wide. `pixels`, count x size x size, is the number of the stored
+    pixel that each sample comes from, row by row; `slots`, of the same shape, is which of that pixel's samples it is:
+    each in turn, and from the first again where there are too few. The first `paths` samples of a pixel need
+    descriptors, which are stored of the first `described`.
     """
 
     def __init__(
