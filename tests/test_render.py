@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pathfold
 import pytest
+import torch
 
 pytest.importorskip("mitsuba")
 
@@ -129,6 +130,23 @@ def test_crops_are_windows_of_the_view(task: view.Task) -> None:
     for samples, (y, x) in zip(tensors["samples.radiance"], line["crops"], strict=True):
         window = clean[:, y : y + 16, x : x + 16]
         assert np.corrcoef(samples.mean(0).ravel(), window.ravel())[0, 1] > 0.9
+
+
+def test_a_zoomed_view_is_a_window_of_a_larger_picture(task: view.Task) -> None:
+    task = replace(task, size=32, zoom=4.0)
+    line, tensors = view.render_view(task)
+    assert 1 <= line["zoom"] <= 4 and line["camera"]["fov"] < 70
+    _, again = view.render_view(replace(task, known=line))
+    assert all(np.array_equal(tensors[name], again[name]) for name in tensors)
+    whole = view.render_view(replace(task, zoom=1.0))[1]["reference.color"]
+    fine = 32 * line["zoom"]  # the window somewhere in the whole picture, which is coarser
+    small = torch.nn.functional.interpolate(
+        torch.from_numpy(tensors["reference.color"])[None], size=round(32 * 32 / fine), mode="area"
+    )[0].numpy()
+    side = small.shape[-1]
+    windows = np.lib.stride_tricks.sliding_window_view(whole, (side, side), (1, 2))
+    windows = np.moveaxis(windows, 0, 2).reshape(-1, *small.shape)
+    assert max(np.corrcoef(window.ravel(), small.ravel())[0, 1] for window in windows) > 0.9
 
 
 def test_crops_are_drawn_by_weight_without_repeats() -> None:

@@ -50,6 +50,10 @@ def render(
     ] = None,
     crop: Annotated[int, typer.Option(min=16, help="width and height of the windows that keep samples")] = 128,
     crops: Annotated[int, typer.Option(min=1, help="windows of a view, if it is larger than one")] = 1,
+    zoom: Annotated[
+        float,
+        typer.Option(min=1, max=1000, help="views show windows of pictures 1 to this many times as wide as --size"),
+    ] = 1,
     workers: Annotated[int, typer.Option(min=1, help="views rendered at once on this machine")] = 2,
     cluster: Annotated[str | None, typer.Option(help="address of a Dask scheduler whose workers render")] = None,
     variant: Variant = "llvm_ad_rgb",
@@ -72,7 +76,7 @@ def render(
         )
     counts = run(
         out, procedural, library, budget, seed, size, spp, crop, crops, cameras,
-        workers=workers, cluster=cluster, variant=variant, console=console, views_per_generated=views,
+        workers=workers, cluster=cluster, variant=variant, console=console, views_per_generated=views, zoom=zoom,
     )  # fmt: skip
     console.print(f"{out}: {counts['done']} views made, {counts['kept']} kept, {counts['failed']} failed")
     if counts["failed"]:

@@ -41,13 +41,15 @@ def render(
     variant: str = "llvm_ad_rgb",
     console: Console | None = None,
     views_per_generated: int = 1,
+    zoom: float = 1,
 ) -> dict[str, int]:
     """Renders generated scenes and views of library scenes into the data set `out`.
 
     `procedural` counts generated scenes, which give `views_per_generated` each; every scene in the folder `library`
     gives `views_per_scene`.
     `budget` is core-seconds per view for the reference, BUDGET for new views if it is None. `spp` samples are stored of
-    `crops` windows of `crop` pixels. Views that exist are kept, so the same command continues an interrupted run; those
+    `crops` windows of `crop` pixels. New views are narrowed at random to windows of a picture at most `zoom` times as
+    wide. Views that exist are kept, so the same command continues an interrupted run; those
     of `out` whose samples are missing, or of another number than the given `spp`, get new ones, and those whose
     references are missing, or had less than the given `budget` and are not good, get new references; crops and whatever
     else there is stay.
@@ -61,6 +63,7 @@ def render(
         lines = {line["id"]: line for line in store.recover(out) if not _lost(line)}
         spend = BUDGET if budget is None else budget
         common = {"seed": seed, "size": size, "spp": spp or SPP, "budget": spend, "crop": crop, "crops": crops}
+        common["zoom"] = zoom
         wanted = plan(procedural, library, views_per_scene, held_out, views_per_generated, variant=variant, **common)
         tasks = _missing(out, wanted, lines, spp, budget, variant)
         total = len({task.id for task in wanted} | set(lines))

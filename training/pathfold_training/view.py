@@ -40,6 +40,7 @@ class Task:
     budget: float
     crop: int = 128  # side of the windows that samples are kept of
     crops: int = 1  # how many of them at most
+    zoom: float = 1  # most that a new view is narrowed
     licence: str = "CC0-1.0"
     origin: str = "made in code"
     path: str = ""
@@ -153,10 +154,38 @@ def _plane(samples: Any, name: str) -> NDArray[Any]:
     return np.moveaxis(getattr(samples, name.replace(".", "_")), -1, 1).astype(SAMPLE_TYPES[name])
 
 
-def _draft(depth: int) -> Any:
+def _draft(depth: int, seed: int = 1) -> Any:
     from pathfold.mitsuba import trace_mean
 
-    return lambda scene: trace_mean(scene, spp=8, seed=1, max_depth=depth)["color"]
+    return lambda scene: trace_mean(scene, spp=8, seed=seed, max_depth=depth)["color"]
+
+
+def _zoomed(scene: Any, task: Task, line: Line) -> Line:
+    """Narrows the camera of a new view at random to one window of what it sees, and says so in its line.
+
+    The window is drawn as crops are, of a picture 1 to `task.zoom` times as wide (log-uniform), and is the view itself.
+    """
+    from .reference import importance
+    from .scenes import cameras
+    from .scenes.faults import picture_fault
+
+    if task.zoom == 1:
+        return line
+    depth = line["max_depth"]
+    a, b = (np.moveaxis(_draft(depth, seed)(scene), -1, 0) for seed in (1, 2))
+    weight = importance(a, b).ravel()
+    rng = np.random.default_rng(entropy(task.seed, task.id, "zoom"))
+    lens = cameras.narrowed(scene, (0.5, 0.5), 1)
+    for _ in range(8):
+        zoom = float(task.zoom ** rng.uniform())
+        y, x = divmod(rng.choice(weight.size, p=weight / weight.sum()), task.size)
+        at = np.clip((np.array([x, y]) + rng.uniform(size=2)) / task.size, 0.5 / zoom, 1 - 0.5 / zoom)
+        camera = cameras.narrowed(scene, (float(at[0]), float(at[1])), zoom)
+        cameras.aim(scene, camera, (task.size, task.size))
+        if picture_fault(_draft(depth)(scene)) is None:
+            return line | {"camera": _plain(camera), "zoom": zoom}
+        cameras.aim(scene, lens, (task.size, task.size))
+    raise RejectedError("no window of it shows anything")
 
 
 def _new_scene(task: Task) -> tuple[Any, Line]:
@@ -176,7 +205,8 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
             variation.vary(scene, np.random.default_rng(line["variation"]))
         rng = np.random.default_rng(entropy(task.seed, task.scene, "cameras"))
         camera = library.choose(scene, task.number, _draft(LIBRARY_DEPTH), rng, size)
-        return scene, line | {"content": "library", "max_depth": LIBRARY_DEPTH, "camera": _plain(camera)}
+        line |= {"content": "library", "max_depth": LIBRARY_DEPTH, "camera": _plain(camera)}
+        return scene, _zoomed(scene, task, line)
     reasons = []
     for attempt in range(4):
         state = entropy(task.seed, task.scene, attempt)  # all views of a scene share it, and each draws its own camera
@@ -187,9 +217,9 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
         except RejectedError as error:
             reasons.append(f"{built.kind} ({error})")
             continue
-        line |= {"content": built.kind, "max_depth": built.max_depth}
+        line |= {"content": built.kind, "max_depth": built.max_depth, "camera": _plain(camera)}
         line |= {"generator": procedural.GENERATOR, "scene_seed": int(state[0])}
-        return scene, line | {"camera": _plain(camera)}
+        return scene, _zoomed(scene, task, line)
     raise RejectedError("; ".join(reasons))
 
 
