@@ -21,6 +21,7 @@ from pathfold_training.data import (
     Stored,
     ValidationViews,
     View,
+    add_fireflies,
     augment,
     frame_inputs,
     reduce_samples,
@@ -230,6 +231,29 @@ def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:
         torch.testing.assert_close(value, first[2].inputs[name], rtol=0, atol=0)
     other = next(iter(Crops(stored, TINY.data, seed=6, paths=ALL_SAMPLES)))
     assert not torch.equal(other.reference["color"], first[0].reference["color"])
+
+
+def test_fireflies_brighten_a_few_samples_and_their_paths(data_set: Path) -> None:
+    view = Stored(data_set).train[0]
+    many = 0
+    for seed in range(40):
+        plain, _ = view.crop(4, 4, 24, np.arange(4), 2)
+        given, _ = view.crop(4, 4, 24, np.arange(4), 2)
+        add_fireflies(given, view.exposure, np.random.default_rng(seed))
+        ratio = given["samples.radiance"] / plain["samples.radiance"]
+        bright = (ratio > 1.001).any(1)
+        assert 1 <= int(bright.sum()) <= 8
+        exposed = given["samples.radiance"].amax(1)[bright] * view.exposure
+        assert float(exposed.min()) > 9.9 and float(exposed.max()) < 1.01e5
+        torch.testing.assert_close(ratio.amax(1), ratio.amin(1), rtol=1e-4, atol=0)  # the colour stays
+        told = (given["samples.descriptor"].float() - plain["samples.descriptor"].float())[:, :3]
+        torch.testing.assert_close(told, ratio[:2].log(), rtol=0.01, atol=0.02)  # half precision
+        many += int(bright[:2].sum())
+        assert torch.equal(given["samples.descriptor"][:, 3:], plain["samples.descriptor"][:, 3:])
+    assert many > 20
+    crops = Crops(Stored(data_set), TINY.data.model_copy(update={"fireflies": 1.0}), seed=5, paths=ALL_SAMPLES)
+    brightest = [batch.inputs["color"].amax((1, 2, 3)) for batch, _ in zip(crops, range(4), strict=False)]
+    assert float(torch.cat(brightest).min()) > 4
 
 
 def test_the_albedo_is_told_by_samples_that_were_not_given(data_set: Path) -> None:

@@ -81,6 +81,7 @@ class Data(Strict):
     drop_split: float = 0.15
     drop_paths: float = 0.0  # ... that the samples are absent, for networks that can do without
     magnified: float = 0.0  # ... that a crop is magnified, one to three times (magnify.py)
+    fireflies: float = 0.0  # ... that a few pixels of a crop get a firefly that the reference does not show
     cleaned: bool = False  # the pathfold family learns from references cleaned by clean.py, not from them as they are
     normal_turn: float = 0.3  # probability of a random rotation, so that world space works too
 

@@ -21,11 +21,13 @@ from torch.utils.data import Dataset, IterableDataset
 from . import store
 from .clean import cleaned
 from .config import Data
-from .features import OPTIONAL
+from .features import OPTIONAL, SENTINEL
 from .magnify import MOST, Magnifier, enough, window
 from .store import Line, Store
 
 COLORED_LOGS = 24  # descriptor channels 0..23 are RGB triples
+RADIANCE_LOGS = 3  # ... of which the first is the sample's radiance
+FIREFLIES, FIREFLY_LOG10 = 8, (1.0, 5.0)  # pixels at most that get one in a crop, and how bright a sample is, exposed
 SAMPLE_NAMES = tuple(f"samples.{n}" for n in ("radiance", "diffuse", "diffuse.albedo", "albedo", "normal", "depth"))
 PATH_NAMES = ("samples.descriptor", "samples.density")
 REFERENCE_NAMES = ("reference.color", "reference.diffuse", "reference.diffuse.albedo")
@@ -241,6 +243,8 @@ class Crops(IterableDataset):
     def draw(self, view: View, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
         magnify = self.data.magnified > 0.0 and rng.random() < self.data.magnified
         samples, reference = self.enlarged(view, size, rng) if magnify else self.as_stored(view, size, rng)
+        if self.data.fireflies > 0.0 and rng.random() < self.data.fireflies:
+            add_fireflies(samples, view.exposure, rng)
         inputs = frame_inputs(samples, view.exposure, view.depth_scale)
         augment(inputs, reference, rng, self.data.normal_turn)  # of means, not of each sample: it is the same
         inputs["exposure"] = inputs["exposure"] * 2 ** rng.uniform(-1.0, 1.0)
@@ -311,6 +315,24 @@ def frame_inputs(samples: Inputs, exposure: float, depth_scale: float) -> Inputs
         inputs[f"{name}.present"] = torch.tensor(0.0 if name == "variance" and n < 2 else 1.0)
     inputs["paths.present"] = torch.tensor(1.0 if "samples.descriptor" in samples else 0.0)
     return inputs
+
+
+def add_fireflies(samples: Inputs, exposure: float, rng: np.random.Generator) -> None:
+    """One sample of a few pixels becomes far too bright, with its colour and its path's; a black one stays black.
+
+    Stored views are too small to show how many fireflies a large picture has.
+    """
+    radiance, paths = samples["samples.radiance"], samples.get("samples.descriptor")
+    count, _, height, width = radiance.shape
+    for _ in range(rng.integers(1, FIREFLIES + 1)):
+        number, y, x = (int(rng.integers(n)) for n in (count, height, width))
+        brightest = float(radiance[number, :, y, x].max()) * exposure
+        if brightest > 0.0:
+            factor = max(1.0, 10 ** rng.uniform(*FIREFLY_LOG10) / brightest)
+            radiance[number, :, y, x] *= factor
+            if paths is not None and number < len(paths):
+                light = paths[number, :RADIANCE_LOGS, y, x]
+                light += math.log(factor) * (light > SENTINEL)
 
 
 def augment(inputs: Inputs, reference: Inputs, rng: np.random.Generator, normal_turn: float) -> None:
