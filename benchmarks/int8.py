@@ -3,7 +3,7 @@
     python benchmarks/int8.py MODEL_FOLDER DATA [--views 8 --crops 48 --spp 2 8 --fp32 down.0.0 --percentile 99.99]
 
 Quantises as `pathfold-train export --data` does, prints a Markdown table and leaves the folder as it is. `--fp32`
-leaves these layers as they are, and no others; without `--percentile` activations range from their least to their
+leaves these layers as they are; without `--percentile` activations range from their least to their
 largest value.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from onnxruntime import InferenceSession, SessionOptions
 from pathfold.report.results import geometric
 from pathfold_training.data import Stored, ValidationViews
-from pathfold_training.quantise import FILE, FP32, Feeds, network_feeds, quantised_copy, ratios, trained_as
+from pathfold_training.quantise import FILE, Feeds, network_feeds, quantised_copy, ratios, trained_as
 
 
 def seconds(path: Path, feeds: Feeds, runs: int) -> float:
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=8)
     parser.add_argument("--crops", type=int, default=48)
     parser.add_argument("--spp", type=int, nargs="+", default=[2, 8])
-    parser.add_argument("--fp32", nargs="*", default=FP32, help="layers to leave in fp32")
+    parser.add_argument("--fp32", nargs="*", default=(), help="layers to leave in fp32")
     parser.add_argument("--percentile", type=float, default=0, help="of activations that fits their range; 0: all")
     options = parser.parse_args()
     data, source = Stored(options.data), options.model / "network.onnx"

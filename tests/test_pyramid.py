@@ -16,6 +16,7 @@ from pathfold_training.networks.pathfold import (
     embedding_sums,
     macs_per_pixel,
     overlap,
+    pixel_features,
     reconstruct,
 )
 from pathfold_training.networks.reconstruct import (
@@ -274,6 +275,17 @@ def test_any_size(height: int, width: int, samples: int) -> None:
     assert out.shape == (1, 3, height, width)
     assert paths.shape == (samples, SMALL.embedding, height, width)
     assert torch.isfinite(out).all()
+
+
+@pytest.mark.parametrize("light", [1e4, 1e8, 1e30])
+def test_a_firefly_is_seen_no_brighter_than_the_ceiling(light: float) -> None:
+    inputs = frame(16, 16, 0)
+    inputs["albedo"], inputs["albedo.present"] = torch.zeros(1, 3, 16, 16), torch.ones(1)
+    inputs["radiance"][:, :, 5, 5] = light  # over a black albedo, which makes it a hundred times as bright
+    inputs["variance"][:, :, 5, 5] = light
+    seen = pixel_features(inputs, demodulate=True)
+    assert seen.isfinite().all() and float(seen.max()) < 7
+    assert float(seen[0, 0, 5, 5]) == pytest.approx(np.log(1001))
 
 
 def test_overlap_covers_the_receptive_field() -> None:

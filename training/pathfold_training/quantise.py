@@ -1,7 +1,7 @@
 """int8 for a model of the pathfold family: quantised on training crops, measured on held-out views.
 
-By onnxruntime, static: the U-Net in int8, weights per channel; the layers before its first pooling, trust,
-heads, the embedding and the reconstruction stay in float32.
+By onnxruntime, static: the U-Net in int8, weights per channel; the layer that reads the buffers, trust, heads, the
+embedding and the reconstruction stay in float32.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import onnx
+import torch
 from numpy.typing import NDArray
 from onnxruntime import InferenceSession
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
@@ -27,13 +28,12 @@ from .config import Config
 from .data import Batch, Crops, Inputs, Stored, ValidationViews
 from .export import sha256
 from .halves import narrow, widen
+from .losses import halves_error
 from .needs import some
 
 GRAPH, FILE = "network", "network.int8.onnx"  # what is quantised, and where it is written
 BODY = ("down.", "project.", "up.")  # its layers
-FP32 = ("down.0.0", "down.0.2")  # but for these: what they read has the widest range, and costs most to round
 CROPS = 192  # to calibrate on
-FIREFLY, FIREFLY_EVERY = 1e8, 7  # exposed radiance of one pixel in every seventh of them
 SPPS = (2, 8)  # samples per pixel to measure on
 BOUND = 1.02  # of RelL2 over that of fp32
 MOST_BYTES = 8_000_000  # of a folder's graphs: models come with every installation
@@ -70,7 +70,7 @@ def can_be_quantised(folder: Path) -> bool:
 
 
 def quantised_copy(
-    folder: Path, scratch: Path, data: Stored, crops: int = CROPS, fp32: Sequence[str] = FP32, percentile: float = 0
+    folder: Path, scratch: Path, data: Stored, crops: int = CROPS, fp32: Sequence[str] = (), percentile: float = 0
 ) -> Path:
     """A copy of the model folder in `scratch` that has an int8 variant, whose error is not known yet.
 
@@ -116,19 +116,11 @@ class Calibration(CalibrationDataReader):
 
 
 def calibration_feeds(folder: Path, manifest: dict[str, Any], data: Stored, crops: int) -> Iterator[Feeds]:
-    """The graph's inputs of augmented training crops, as the model was trained on them, and of some with a firefly.
-
-    Without those, activations saturate at what crops show, and fireflies leak more than in fp32.
-    """
+    """The graph's inputs of augmented training crops, as the model was trained on them."""
     sessions = [InferenceSession(folder / manifest["graphs"][name]["file"]) for name in ("embedding", GRAPH)]
     config = trained_as(folder)
     single = config.data.model_copy(update={"batch": 1})
-    for number, batch in enumerate(islice(Crops(data, single, seed=0, paths=config.network.path_samples), crops)):
-        if number % FIREFLY_EVERY == 0:
-            light = FIREFLY / batch.inputs["exposure"]
-            middle = batch.inputs["color"].shape[-1] // 2
-            batch.inputs["color"][:, :, middle, middle] = light
-            batch.inputs["variance"][:, :, middle, middle] = light**2
+    for batch in islice(Crops(data, single, seed=0, paths=config.network.path_samples), crops):
         yield network_feeds(batch.inputs, *sessions)
 
 
@@ -165,7 +157,7 @@ def ratios(folder: Path, frames: ValidationViews) -> list[float]:
 
 
 def error(denoiser: Denoiser, batch: Batch, spp: int) -> float:
-    """RelL2 of the one frame of a batch, exposed."""
+    """RelL2 of the one frame of a batch, exposed, free of the reference's noise."""
     exposure = float(batch.inputs["exposure"])
     known = {*denoiser.model.requires, *denoiser.model.uses}
     buffers = {name: np.moveaxis(value.numpy(), 1, -1) for name, value in batch.inputs.items() if name in known}
@@ -173,5 +165,5 @@ def error(denoiser: Denoiser, batch: Batch, spp: int) -> float:
     if not float(batch.inputs["variance.present"]):
         del buffers["variance"]
     image = denoiser.run_buffers(buffers, samples_per_pixel=spp, exposure=exposure).color * exposure
-    reference = np.moveaxis(batch.reference["color"].numpy()[0], 0, -1) * exposure
-    return float(((image - reference) ** 2 / (reference**2 + 0.01)).mean())
+    halves = (batch.reference[f"half_{name}"] * exposure for name in "ab")
+    return float(halves_error(torch.from_numpy(image).movedim(-1, 0)[None], *halves))

@@ -24,6 +24,7 @@ ALIGNMENT = 1 << (LEVELS - 1)
 OPTIONAL = ("variance", "albedo", "normal", "depth", "paths")
 PIXEL_CHANNELS = 3 + 1 + 3 + 3 + 1
 ALBEDO_EPSILON = 0.01  # of the demodulator albedo + epsilon: bounds what a black albedo can amplify to a hundredfold
+RADIANCE_CEILING = 1000.0  # of what the network sees, exposed and demodulated: a firefly widens no range of int8
 SAMPLE_WIDTH = 32
 HEADS = [4 * LEVEL_LOGITS + LEVEL_LOGITS, LEVEL_LOGITS, LEVEL_LOGITS, COARSEST_LOGITS]  # channels from 1/2 to 1/16
 TRUST_START = -2.0  # sigmoid(-2) * -9 = -1.1: room on both sides of the initial trust
@@ -235,8 +236,8 @@ def pixel_features(inputs: dict[str, Tensor], demodulate: bool) -> Tensor:
     far = inputs["depth"] * inputs["depth_scale"].reshape(-1, 1, 1, 1)
     depth = 1.0 - 1.0 / (1.0 + far)  # [0, 1), whatever the scene's unit
     albedo = torch.clamp(inputs["albedo"], 0.0, 1.0)
-    color = torch.log1p(mean / demodulator(inputs) if demodulate else mean)
-    return torch.cat([color, torch.log1p(16.0 * relative), albedo, inputs["normal"], depth], 1)
+    color = torch.clamp(mean / demodulator(inputs) if demodulate else mean, max=RADIANCE_CEILING)
+    return torch.cat([torch.log1p(color), torch.log1p(16.0 * relative), albedo, inputs["normal"], depth], 1)
 
 
 def presence(inputs: dict[str, Tensor]) -> Tensor:
