@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 WORKERS ?= 2 # test processes; each may hold torch and Mitsuba
 CXX_SOURCES = $(shell find sdk python/bindings -name '*.cpp' -o -name '*.hpp' -o -name '*.h' -o -name '*.c')
-PY_SOURCES = python training tests tools
+PY_SOURCES = python training tests tools benchmarks
 
 .PHONY: help setup build demo test test-long sanitize lint format bench wheel lock clean
 
