@@ -233,7 +233,7 @@ def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:
     assert not torch.equal(other.reference["color"], first[0].reference["color"])
 
 
-def test_fireflies_brighten_a_few_samples_and_their_paths(data_set: Path) -> None:
+def test_fireflies_are_improbable_paths_of_a_few_samples(data_set: Path) -> None:
     view = Stored(data_set).train[0]
     many = 0
     for seed in range(40):
@@ -246,10 +246,10 @@ def test_fireflies_brighten_a_few_samples_and_their_paths(data_set: Path) -> Non
         exposed = given["samples.radiance"].amax(1)[bright] * view.exposure
         assert float(exposed.min()) > 9.9 and float(exposed.max()) < 1.01e5
         torch.testing.assert_close(ratio.amax(1), ratio.amin(1), rtol=1e-4, atol=0)  # the colour stays
-        told = (given["samples.descriptor"].float() - plain["samples.descriptor"].float())[:, :3]
-        torch.testing.assert_close(told, ratio[:2].log(), rtol=0.01, atol=0.02)  # half precision
+        told = plain["samples.density"] - given["samples.density"]
+        torch.testing.assert_close(told, ratio[:2].log().mean(1, keepdim=True), rtol=1e-3, atol=1e-4)
         many += int(bright[:2].sum())
-        assert torch.equal(given["samples.descriptor"][:, 3:], plain["samples.descriptor"][:, 3:])
+        assert torch.equal(given["samples.descriptor"], plain["samples.descriptor"])
     assert many > 20
     crops = Crops(Stored(data_set), TINY.data.model_copy(update={"fireflies": 1.0}), seed=5, paths=ALL_SAMPLES)
     brightest = [batch.inputs["color"].amax((1, 2, 3)) for batch, _ in zip(crops, range(4), strict=False)]

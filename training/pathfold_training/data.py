@@ -21,12 +21,11 @@ from torch.utils.data import Dataset, IterableDataset
 from . import store
 from .clean import cleaned
 from .config import Data
-from .features import OPTIONAL, SENTINEL
+from .features import OPTIONAL
 from .magnify import MOST, Magnifier, enough, window
 from .store import Line, Store
 
 COLORED_LOGS = 24  # descriptor channels 0..23 are RGB triples
-RADIANCE_LOGS = 3  # ... of which the first is the sample's radiance
 FIREFLIES, FIREFLY_LOG10 = 8, (1.0, 5.0)  # pixels at most that get one in a crop, and how bright a sample is, exposed
 SAMPLE_NAMES = tuple(f"samples.{n}" for n in ("radiance", "diffuse", "diffuse.albedo", "albedo", "normal", "depth"))
 PATH_NAMES = ("samples.descriptor", "samples.density")
@@ -318,21 +317,21 @@ def frame_inputs(samples: Inputs, exposure: float, depth_scale: float) -> Inputs
 
 
 def add_fireflies(samples: Inputs, exposure: float, rng: np.random.Generator) -> None:
-    """One sample of a few pixels becomes far too bright, with its colour and its path's; a black one stays black.
+    """One sample of a few pixels becomes far too bright, in its colour, as if its path were that improbable.
 
-    Stored views are too small to show how many fireflies a large picture has.
+    So its descriptor stays, and its density falls; a black sample stays black. Stored views are too small to show how
+    many fireflies a large picture has.
     """
-    radiance, paths = samples["samples.radiance"], samples.get("samples.descriptor")
+    radiance, density = samples["samples.radiance"], samples.get("samples.density")
     count, _, height, width = radiance.shape
     for _ in range(rng.integers(1, FIREFLIES + 1)):
         number, y, x = (int(rng.integers(n)) for n in (count, height, width))
         brightest = float(radiance[number, :, y, x].max()) * exposure
-        if brightest > 0.0:
+        if brightest > 1e-6:
             factor = max(1.0, 10 ** rng.uniform(*FIREFLY_LOG10) / brightest)
             radiance[number, :, y, x] *= factor
-            if paths is not None and number < len(paths):
-                light = paths[number, :RADIANCE_LOGS, y, x]
-                light += math.log(factor) * (light > SENTINEL)
+            if density is not None and number < len(density):
+                density[number, :, y, x] -= math.log(factor)
 
 
 def augment(inputs: Inputs, reference: Inputs, rng: np.random.Generator, normal_turn: float) -> None:
