@@ -298,6 +298,18 @@ def test_an_error_is_of_a_frame_of_all_its_samples(
     assert said[1:] == [(1, 8, True)] * 2
 
 
+def test_int8_is_calibrated_on_fireflies_too(
+    exported: tuple[Path, Denoising], data: Stored, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    manifest = json.loads((exported[0] / "manifest.json").read_text())
+    brightest = []
+    for share in (0.0, 1.0):
+        monkeypatch.setattr(quantise, "FIREFLIES", share)
+        feeds = list(quantise.calibration_feeds(exported[0], manifest, data, 6))
+        brightest.append([float((f["radiance"] * f["exposure"][:, None, None, None]).max()) for f in feeds])
+    assert max(brightest[0]) < 10 < sorted(brightest[1])[1]
+
+
 @pytest.mark.parametrize(("bound", "value", "said"), [("BOUND", 0.5, "more than 0.5"), ("MOST_BYTES", 1, "MB")])
 def test_an_int8_variant_that_is_no_good_is_refused(
     exported: tuple[Path, Denoising],

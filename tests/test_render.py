@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pathfold
 import pytest
-import torch
 
 pytest.importorskip("mitsuba")
 
@@ -133,20 +132,25 @@ def test_crops_are_windows_of_the_view(task: view.Task) -> None:
 
 
 def test_a_zoomed_view_is_a_window_of_a_larger_picture(task: view.Task) -> None:
-    task = replace(task, size=32, zoom=4.0)
+    task = replace(task, size=32, zoom=4.0, id="tiny-3-1-c")
     line, tensors = view.render_view(task)
-    assert 1 <= line["zoom"] <= 4 and line["camera"]["fov"] < 70
-    _, again = view.render_view(replace(task, known=line))
-    assert all(np.array_equal(tensors[name], again[name]) for name in tensors)
-    whole = view.render_view(replace(task, zoom=1.0))[1]["reference.color"]
-    fine = 32 * line["zoom"]  # the window somewhere in the whole picture, which is coarser
-    small = torch.nn.functional.interpolate(
-        torch.from_numpy(tensors["reference.color"])[None], size=round(32 * 32 / fine), mode="area"
-    )[0].numpy()
-    side = small.shape[-1]
-    windows = np.lib.stride_tricks.sliding_window_view(whole, (side, side), (1, 2))
-    windows = np.moveaxis(windows, 0, 2).reshape(-1, *small.shape)
-    assert max(np.corrcoef(window.ravel(), small.ravel())[0, 1] for window in windows) > 0.9
+    side, (y, x) = line["window"]["of"], line["window"]["corner"]
+    assert 64 < side <= 128 and line["camera"]["fov"] > 25  # the picture's
+    for kind in store.KINDS:
+        _, again = view.render_view(replace(task, known=json.loads(json.dumps(line)), kinds=(kind,)))
+        assert all(np.array_equal(tensors[name], again[name]) for name in again)
+    known = {name: value for name, value in line.items() if name != "window"} | {"width": side, "height": side}
+    _, rendered = view.render_view(replace(task, known=known, kinds=(store.REFERENCES,)))
+    whole, own = rendered["reference.color"], tensors["reference.color"]
+
+    def likeness(top: int, left: int) -> float:
+        return float(np.corrcoef(own.ravel(), whole[:, top : top + 32, left : left + 32].ravel())[0, 1])
+
+    assert likeness(y, x) > 0.98 > 0.95 > max(likeness(y - 3, x), likeness(y, x - 3))
+    noisy = tensors["samples.radiance"][0].mean(0)
+    assert abs(noisy.mean() / own.mean() - 1) < 0.3
+    assert line["exposure"] == pytest.approx(reference.exposure(whole), rel=0.15)
+    assert line["exposure"] != reference.exposure(own)
 
 
 def test_crops_are_drawn_by_weight_without_repeats() -> None:

@@ -56,7 +56,7 @@ def faults(folder: Path, lines: list[store.Line]) -> dict[str, str]:
     gallery, found = Gallery(), {}
     for line in lines:
         color = store.reference_color(folder, line["id"])
-        if fault := gallery.fault(color):
+        if fault := gallery.fault(color, "window" in line):
             found[line["id"]] = fault
         else:
             gallery.add(line["id"], color)

@@ -33,7 +33,7 @@ from .needs import some
 
 GRAPH, FILE = "network", "network.int8.onnx"  # what is quantised, and where it is written
 BODY = ("down.", "project.", "up.")  # its layers
-CROPS = 192  # to calibrate on
+CROPS, FIREFLIES = 192, 0.1  # to calibrate on, and the share of them with fireflies, whatever was trained with
 SPPS = (2, 8)  # samples per pixel to measure on
 BOUND = 1.02  # of RelL2 over that of fp32
 MOST_BYTES = 8_000_000  # of a folder's graphs: models come with every installation
@@ -116,10 +116,10 @@ class Calibration(CalibrationDataReader):
 
 
 def calibration_feeds(folder: Path, manifest: dict[str, Any], data: Stored, crops: int) -> Iterator[Feeds]:
-    """The graph's inputs of augmented training crops, as the model was trained on them."""
+    """The graph's inputs of augmented training crops; of at least FIREFLIES of them some pixels are far too bright."""
     sessions = [InferenceSession(folder / manifest["graphs"][name]["file"]) for name in ("embedding", GRAPH)]
     config = trained_as(folder)
-    single = config.data.model_copy(update={"batch": 1})
+    single = config.data.model_copy(update={"batch": 1, "fireflies": max(FIREFLIES, config.data.fireflies)})
     for batch in islice(Crops(data, single, seed=0, paths=config.network.path_samples), crops):
         yield network_feeds(batch.inputs, *sessions)
 

@@ -48,11 +48,10 @@ def render(
     `procedural` counts generated scenes, which give `views_per_generated` each; every scene in the folder `library`
     gives `views_per_scene`.
     `budget` is core-seconds per view for the reference, BUDGET for new views if it is None. `spp` samples are stored of
-    `crops` windows of `crop` pixels. New views are narrowed at random to windows of a picture at most `zoom` times as
-    wide. Views that exist are kept, so the same command continues an interrupted run; those
-    of `out` whose samples are missing, or of another number than the given `spp`, get new ones, and those whose
-    references are missing, or had less than the given `budget` and are not good, get new references; crops and whatever
-    else there is stay.
+    `crops` windows of `crop` pixels. New views are windows of pictures 1 to `zoom` times as wide. Views that exist are
+    kept, so the same command continues an interrupted run; those of `out` whose samples are missing, or of another
+    number than the given `spp`, get new ones, and those whose references are missing, or had less than the given
+    `budget` and are not good, get new references; crops and whatever else there is stay.
     Order and content depend on `seed` alone, the reference's sample count on the machine's speed too. A share
     `held_out` of the scenes is marked "val". `cluster` is the address of a Dask scheduler whose workers render instead
     of `workers` processes. Returns how many views are "done", "kept" and "failed"; reasons are in out/render.log.
@@ -118,7 +117,7 @@ def _take_in(out: Path, task: Task, result: farm.Result, gallery: Gallery) -> st
         log.warning("%s skipped: %s", task.id, result)
         return None
     line, tensors = result
-    if not task.known and (fault := gallery.fault(tensors["reference.color"])):
+    if not task.known and (fault := gallery.fault(tensors["reference.color"], "window" in line)):
         log.warning("%s skipped: %s", task.id, fault)
         return None
     if "reference.color" in tensors:

@@ -40,7 +40,7 @@ class Task:
     budget: float
     crop: int = 128  # side of the windows that samples are kept of
     crops: int = 1  # how many of them at most
-    zoom: float = 1  # most that a new view is narrowed
+    zoom: float = 1  # a new view is a window of a picture at most so many times as wide
     licence: str = "CC0-1.0"
     origin: str = "made in code"
     path: str = ""
@@ -90,8 +90,10 @@ def _render(task: Task, scene: Any, line: Line) -> tuple[Line, Arrays]:
     if REFERENCES in task.kinds:
         seeds = [int(s) for s in entropy(task.seed, task.id, "reference")[:2]]
         tensors, facts = render_reference(scene, task.budget, line["max_depth"], seeds)
-        if fault := picture_fault(np.moveaxis(tensors["reference.color"], 0, -1)):
+        if fault := picture_fault(np.moveaxis(tensors["reference.color"], 0, -1), may_be_flat="window" in line):
             raise RejectedError(f"its picture is {fault}")
+        if "window" in line:
+            facts |= {name: line[name] for name in ("exposure", "depth_scale")}
         line = line | facts | {"budget": task.budget}
     if not task.known:
         crop = min(task.crop, task.size)
@@ -121,13 +123,11 @@ def _samples(scene: Any, task: Task, line: Line) -> Arrays:
     """
     from pathfold.mitsuba import trace
 
-    from .scenes import cameras
-
     side = line["crop"]
     chunk = max(1, LANES // side**2)
     crops = []
     for number, (y, x) in enumerate(line["crops"]):
-        cameras.window(scene, (x, y), (side, side))
+        _show(scene, line, (x, y), (side, side))
         parts = []
         for first in range(0, task.spp, chunk):
             seed = int(entropy(task.seed, task.id, "samples", number, first)[0])
@@ -154,38 +154,54 @@ def _plane(samples: Any, name: str) -> NDArray[Any]:
     return np.moveaxis(getattr(samples, name.replace(".", "_")), -1, 1).astype(SAMPLE_TYPES[name])
 
 
-def _draft(depth: int, seed: int = 1) -> Any:
+def _draft(depth: int) -> Any:
     from pathfold.mitsuba import trace_mean
 
-    return lambda scene: trace_mean(scene, spp=8, seed=seed, max_depth=depth)["color"]
+    return lambda scene: trace_mean(scene, spp=8, seed=1, max_depth=depth)["color"]
 
 
-def _zoomed(scene: Any, task: Task, line: Line) -> Line:
-    """Narrows the camera of a new view at random to one window of what it sees, and says so in its line.
+def _windowed(scene: Any, task: Task, line: Line) -> Line:
+    """Makes a new view a window of the picture with 1 to `task.zoom` times the pixels across, and says so in its line.
 
-    The window is drawn as crops are, of a picture 1 to `task.zoom` times as wide (log-uniform), and is the view itself.
+    Log-uniform, about a pixel drawn by the picture's noise and detail. Exposure and depth scale are the picture's, as
+    they are where a picture is denoised.
     """
-    from .reference import importance
-    from .scenes import cameras
+    from pathfold.mitsuba import trace_mean
+
+    from .reference import depth_scale, exposure, importance
     from .scenes.faults import picture_fault
 
     if task.zoom == 1:
         return line
     depth = line["max_depth"]
-    a, b = (np.moveaxis(_draft(depth, seed)(scene), -1, 0) for seed in (1, 2))
+    whole = [trace_mean(scene, spp=8, seed=seed, max_depth=depth) for seed in (1, 2)]
+    a, b = (np.moveaxis(half["color"], -1, 0) for half in whole)
+    line = line | {
+        "exposure": exposure((a + b) / 2),
+        "depth_scale": depth_scale((whole[0]["depth"] + whole[1]["depth"]) / 2),
+    }
     weight = importance(a, b).ravel()
-    rng = np.random.default_rng(entropy(task.seed, task.id, "zoom"))
-    lens = cameras.narrowed(scene, (0.5, 0.5), 1)
+    rng = np.random.default_rng(entropy(task.seed, task.id, "window"))
+    side = round(task.size * task.zoom ** rng.uniform())
     for _ in range(8):
-        zoom = float(task.zoom ** rng.uniform())
-        y, x = divmod(rng.choice(weight.size, p=weight / weight.sum()), task.size)
-        at = np.clip((np.array([x, y]) + rng.uniform(size=2)) / task.size, 0.5 / zoom, 1 - 0.5 / zoom)
-        camera = cameras.narrowed(scene, (float(at[0]), float(at[1])), zoom)
-        cameras.aim(scene, camera, (task.size, task.size))
-        if picture_fault(_draft(depth)(scene)) is None:
-            return line | {"camera": _plain(camera), "zoom": zoom}
-        cameras.aim(scene, lens, (task.size, task.size))
-    raise RejectedError("no window of it shows anything")
+        pixel = divmod(rng.choice(weight.size, p=weight / weight.sum()), task.size)
+        middle = (np.array(pixel) + rng.uniform(size=2)) * side / task.size
+        corner = np.clip(np.round(middle - task.size / 2), 0, side - task.size).astype(int)
+        line = line | {"window": {"of": side, "corner": corner.tolist()}}
+        _show(scene, line)
+        if picture_fault(_draft(depth)(scene), may_be_flat=True) is None:
+            return line
+    raise RejectedError("8 x black or blown out in the window")
+
+
+def _show(scene: Any, line: Line, corner: tuple[int, int] = (0, 0), size: tuple[int, int] | None = None) -> None:
+    """Gives the film of an aimed scene the view's pixels, or those of its `size` (x, y) from `corner` on."""
+    from .scenes import cameras
+
+    whole = line["width"], line["height"]
+    y, x = line["window"]["corner"] if "window" in line else (0, 0)
+    cameras.resize(scene, (line["window"]["of"],) * 2 if "window" in line else whole)
+    cameras.window(scene, (x + corner[0], y + corner[1]), size or whole)
 
 
 def _new_scene(task: Task) -> tuple[Any, Line]:
@@ -206,7 +222,7 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
         rng = np.random.default_rng(entropy(task.seed, task.scene, "cameras"))
         camera = library.choose(scene, task.number, _draft(LIBRARY_DEPTH), rng, size)
         line |= {"content": "library", "max_depth": LIBRARY_DEPTH, "camera": _plain(camera)}
-        return scene, _zoomed(scene, task, line)
+        return scene, _windowed(scene, task, line)
     reasons = []
     for attempt in range(4):
         state = entropy(task.seed, task.scene, attempt)  # all views of a scene share it, and each draws its own camera
@@ -214,12 +230,11 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
         try:
             rng = np.random.default_rng(entropy(task.seed, task.id, attempt)[1])
             camera = cameras.find(scene, built.propose, _draft(built.max_depth), rng, size)
+            line |= {"content": built.kind, "max_depth": built.max_depth, "camera": _plain(camera)}
+            line |= {"generator": procedural.GENERATOR, "scene_seed": int(state[0])}
+            return scene, _windowed(scene, task, line)
         except RejectedError as error:
             reasons.append(f"{built.kind} ({error})")
-            continue
-        line |= {"content": built.kind, "max_depth": built.max_depth, "camera": _plain(camera)}
-        line |= {"generator": procedural.GENERATOR, "scene_seed": int(state[0])}
-        return scene, _zoomed(scene, task, line)
     raise RejectedError("; ".join(reasons))
 
 
@@ -242,6 +257,7 @@ def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
         cameras.aim(scene, cameras.Camera(origin, target, up, pose["fov"], pose["blur"]), size)
     else:
         cameras.resize(scene, size)
+    _show(scene, line)
     return scene, {k: v for k, v in line.items() if k != "files"}
 
 

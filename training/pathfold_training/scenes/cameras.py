@@ -83,24 +83,6 @@ def pose(scene: mi.Scene) -> tuple[Vector, Vector, Vector, float]:
     return matrix[:3, 3], matrix[:3, 2], matrix[:3, 1], float(fov)
 
 
-def narrowed(scene: mi.Scene, at: tuple[float, float], zoom: float) -> Camera:
-    """The first sensor turned to point `at` of its film ([0, 1], x and y), with 1 / zoom of its field of view.
-
-    What it sees is in focus where it was before.
-    """
-    params = mi.traverse(scene.sensors()[0])
-    origin, forward, up, fov = pose(scene)
-    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.0, mi.Point2f(*at), mi.Point2f(0.5, 0.5))
-    way = np.array(ray.d, dtype=np.float64).ravel()
-    focus, blur = 1.0, 0.0
-    if "aperture_radius" in params:
-        focus = float(np.array(params["focus_distance"]).ravel()[0])
-        blur = float(np.array(params["aperture_radius"]).ravel()[0]) / focus
-    slant = float(way @ forward)  # the plane in focus is further away along a ray from the film's corner
-    fov = float(np.degrees(2 * np.arctan(np.tan(np.radians(fov) / 2) / zoom)))
-    return Camera(origin, origin + way * focus / slant, up, fov, blur * slant)
-
-
 def cast(scene: mi.Scene, origin: Vector, direction: Vector) -> Survey:
     """Rays from one point (or N) along N directions."""
     count = len(direction)

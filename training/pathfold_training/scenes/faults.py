@@ -44,7 +44,7 @@ def geometry_fault(seen: Survey) -> str | None:
     return None
 
 
-def picture_fault(color: NDArray[np.float32]) -> str | None:
+def picture_fault(color: NDArray[np.float32], may_be_flat: bool = False) -> str | None:
     """Why a rendered view [H, W, 3] is refused: black, blown out or flat; noise is averaged away in blocks of 8."""
     luminance = np.nan_to_num(color.astype(np.float64) @ [0.2126, 0.7152, 0.0722])
     height, width = (n // 8 * 8 for n in luminance.shape)
@@ -57,7 +57,7 @@ def picture_fault(color: NDArray[np.float32]) -> str | None:
         return "blown out"
     if (blocks < 0.03 * blocks.mean()).mean() > 0.4:
         return "black"
-    if tone.std() < 0.04:
+    if tone.std() < 0.04 and not may_be_flat:
         return "flat"
     return None
 
@@ -74,9 +74,9 @@ class Gallery:
         self._names.append(name)
         self._thumbs.append(thumb(color))
 
-    def fault(self, color: NDArray[Any]) -> str | None:
+    def fault(self, color: NDArray[Any], may_be_flat: bool = False) -> str | None:
         """Why this view is refused: a fault of its own, or the name of the view that it repeats."""
-        reason = picture_fault(np.moveaxis(color, 0, -1))
+        reason = picture_fault(np.moveaxis(color, 0, -1), may_be_flat)
         if reason is None and self._thumbs:
             likeness = np.stack(self._thumbs) @ thumb(color)
             nearest = int(likeness.argmax())
