@@ -10,6 +10,7 @@ from pathfold_training.features import OPTIONAL
 from pathfold_training.losses import (
     albedo_error,
     energy_error,
+    error_scale,
     geometric,
     halves_error,
     manifold_loss,
@@ -252,3 +253,10 @@ def test_median_of_3x3_is_the_middle_one(size: tuple[int, int]) -> None:
     padded = torch.nn.functional.pad(image, (1, 1, 1, 1), mode="replicate")
     expected = padded.unfold(2, 3, 1).unfold(3, 3, 1).flatten(4).median(-1).values
     torch.testing.assert_close(median3x3(image), expected, rtol=0, atol=0)
+
+
+def test_errors_on_a_thin_dark_line_count_where_the_reference_is_clean() -> None:
+    reference = torch.ones(1, 3, 9, 9)
+    reference[:, :, 4] = 0.1
+    assert float(error_scale(reference, noisy=False)[0, 0, 4, 4]) == pytest.approx(0.02**0.5)
+    assert float(error_scale(reference)[0, 0, 4, 4]) == pytest.approx(1.01**0.5)

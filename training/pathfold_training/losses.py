@@ -17,14 +17,15 @@ GAMMA = 1 / 2.2
 LOGIT_LIMIT = 10.0
 
 
-def error_scale(reference: Tensor) -> Tensor:
+def error_scale(reference: Tensor, noisy: bool = True) -> Tensor:
     """The radiance that errors are measured against: sqrt(r^2 + eps) of the exposed reference, B x 3 x H x W.
 
-    r is the median of 3x3 pixels. Dividing by the pixel's own noisy reference would punish just the pixels it
-    underestimates (bias table in the design); dividing by a mean would excuse light that leaks from an emitter
-    into the dark pixels beside it, which makes most of RelL2.
+    r is the median of 3x3 pixels where the reference is noisy. Dividing by the pixel's own noisy reference would punish
+    just the pixels it underestimates (bias table in the design); dividing by a mean would excuse light that leaks
+    from an emitter into the dark pixels beside it, which makes most of RelL2. Without noise r is the pixel's own, as
+    in RelL2: a median would excuse what leaks onto a dark line one pixel wide.
     """
-    return torch.sqrt(median3x3(reference).square() + RELATIVE_EPSILON)
+    return torch.sqrt((median3x3(reference) if noisy else reference).square() + RELATIVE_EPSILON)
 
 
 def median3x3(image: Tensor) -> Tensor:

@@ -134,7 +134,7 @@ class Denoising(lightning.LightningModule):
         reference = batch.reference["color"] * exposure.reshape(-1, 1, 1, 1)
         exposed = image * exposure.reshape(-1, 1, 1, 1)
         target = batch.reference.get("cleaned", batch.reference["color"]) * exposure.reshape(-1, 1, 1, 1)
-        error = self.image_error(exposed, target, error_scale(target))
+        error = self.image_error(exposed, target, error_scale(target, noisy="cleaned" not in batch.reference))
         total = error
         if self.config.loss.energy > 0.0:
             energy = energy_error(exposed, reference)  # not against what is cleaned: OIDN darkens by 1 %
