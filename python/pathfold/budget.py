@@ -16,7 +16,7 @@ from pathfold import memory, models
 from pathfold.denoising import Denoiser, Result, failure
 
 # The best first, by the errors in docs/results/validation-8spp; another model takes part where it is named.
-PREFERRED = ("pathfold-high", "pathfold-balanced", "pathfold-fast", "kpcn-manifold", "kpcn-vanilla", "kpcn-path")
+PREFERRED = ("pathfold-balanced", "pathfold-high", "pathfold-fast", "kpcn-manifold", "kpcn-vanilla", "kpcn-path")
 
 ROUNDS = 2  # of a trial
 IN_WINDOWS = ("pack", "network", "reconstruct")  # the stages of a run that see a tile's window
