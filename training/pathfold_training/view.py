@@ -255,8 +255,6 @@ def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
         pose = line["camera"]
         origin, target, up = (np.array(pose[name]) for name in ("origin", "target", "up"))
         cameras.aim(scene, cameras.Camera(origin, target, up, pose["fov"], pose["blur"]), size)
-    else:
-        cameras.resize(scene, size)
     _show(scene, line)
     return scene, {k: v for k, v in line.items() if k != "files"}
 
