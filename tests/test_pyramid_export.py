@@ -239,6 +239,12 @@ def test_weights_are_stored_as_halves_and_compute_the_same(exported: tuple[Path,
     assert wide.graph == stored.graph
 
 
+def test_a_graph_copies_no_prediction(exported: tuple[Path, Denoising]) -> None:
+    graph = onnx.load(exported[0] / "network.onnx").graph
+    convolved = {output for node in graph.node if node.op_type == "Conv" for output in node.output}
+    assert not any(node.op_type == "Cast" and node.input[0] in convolved for node in graph.node)
+
+
 def test_what_a_half_cannot_hold_is_kept(exported: tuple[Path, Denoising]) -> None:
     model = copy.deepcopy(exported[1].model)
     weights = dict(model.named_parameters())

@@ -268,8 +268,8 @@ def embedding_moments(sums: Tensor) -> Tensor:
 
 
 def exact(x: Tensor) -> Tensor:
-    """float32 of what autocast left in half precision; double stays."""
-    return x if x.dtype == torch.float64 else x.float()
+    """float32 of what autocast left in half precision; what is wider stays, or a graph would copy it."""
+    return x if x.dtype in (torch.float32, torch.float64) else x.float()
 
 
 def aligned(x: Tensor) -> Tensor:
