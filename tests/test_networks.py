@@ -1,11 +1,13 @@
 """Networks, operators and losses in torch."""
 
 import itertools
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from pathfold_training.config import Network, load_preset, preset_names
+from pathfold_training.config import Config, Network, load_preset, preset_names
 from pathfold_training.features import OPTIONAL
 from pathfold_training.losses import (
     albedo_error,
@@ -147,7 +149,7 @@ def test_full_preset_has_the_papers_size() -> None:
     network = load_preset("kpcn-manifold-full").network
     parameters = sum(p.numel() for b in Kpcn(network).branches.values() for p in b.trunk.parameters())
     parameters += sum(p.numel() for b in Kpcn(network).branches.values() for p in b.kernels.parameters())
-    assert 5.5e6 < parameters < 6.2e6  # paper notes 4.1: 5.88 M for R
+    assert 5.5e6 < parameters < 6.2e6  # the paper: 5.88 M for R
 
 
 def test_presets_are_valid_and_unknown_keys_are_not(tmp_path) -> None:
@@ -158,6 +160,37 @@ def test_presets_are_valid_and_unknown_keys_are_not(tmp_path) -> None:
         load_preset(str(bad))
     with pytest.raises(ValueError, match="kpcn-vanilla"):
         load_preset("kpcn-unknown")
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ("network: {widht: 3}", "network.widht: Extra inputs are not permitted"),
+        ("data: {crop: -5, batch: 0}", "data.crop: Input should be greater than or equal to 16, not -5; data.batch: "),
+        ("data: {magnified: 7}", "data.magnified: Input should be less than or equal to 1, not 7"),
+        ("data: {fireflies: -1}", "data.fireflies: Input should be greater than or equal to 0, not -1"),
+        ("data: {spp_min: 9}", "data: Value error, spp_min 9 is more than spp_max 8"),
+        ("optimiser: {steps: 0}", "optimiser.steps: Input should be greater than or equal to 1, not 0"),
+        ("optimiser: {learning_rate: .inf}", "optimiser.learning_rate: Input should be a finite number, not inf"),
+        ("loss: {energy: -1}", "loss.energy: Input should be greater than or equal to 0, not -1"),
+        ("network: {family: pathfold, widths: [0, 8, 8, 8]}", "network.widths.0: Input should be greater than"),
+    ],
+)
+def test_what_does_not_fit_in_a_preset_is_one_line(tmp_path, keys: str, said: str) -> None:
+    bad = tmp_path / "bad.yaml"
+    bad.write_text(f"name: x\ndescription: y\n{keys}\n")
+    with pytest.raises(ValueError) as left:
+        load_preset(str(bad))
+    assert str(left.value).startswith(f"preset {bad}: {said}") and "\n" not in str(left.value)
+
+
+def test_presets_and_those_of_shipped_models_are_valid() -> None:
+    for name in preset_names():
+        load_preset(name)
+    manifests = sorted((Path(__file__).parent.parent / "models").glob("*/manifest.json"))
+    assert manifests
+    for manifest in manifests:
+        Config.model_validate(json.loads(manifest.read_text())["training"]["config"])
 
 
 def test_manifold_loss_is_zero_for_an_isometry_of_the_labels_and_not_otherwise() -> None:

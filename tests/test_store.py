@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from pathfold_training import dataset, store
 from pathfold_training.cli import app
+from safetensors.numpy import save_file
 from training_data import view_tensors, write_data_set
 from typer.testing import CliRunner
 
@@ -74,6 +75,33 @@ def test_recovery_drops_cut_and_altered_files_and_takes_up_whole_ones(folder: Pa
     assert not cut.exists()
     assert not path(folder, store.SAMPLES, 1).exists()
     assert store.recover(folder) == lines
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"5",
+        b'{"format": 2}',
+        b'{"format": 2, "id": "view-1"}',
+        b'{"format": 2, "id": "view-1", "files": {}}',
+        b"\x93\xff\x00binary",
+    ],
+)
+def test_a_damaged_line_is_left_out_and_mended(folder: Path, line: bytes) -> None:
+    index = folder / "index.jsonl"
+    rows = index.read_bytes().splitlines()
+    whole = store.read_index(folder)
+    index.write_bytes(b"\n".join([rows[0], line, rows[2]]) + b"\n")
+    assert ids(store.Store(folder).lines) == ["view-0", "view-2"]
+    assert dataset.info(folder)["views"] == 2
+    assert sorted(store.recover(folder), key=lambda line: line["id"]) == whole
+
+
+def test_a_file_that_says_nothing_of_its_view_is_removed(folder: Path) -> None:
+    foreign = path(folder, store.REFERENCES, 9)
+    save_file({"reference.color": np.zeros(3, np.float32)}, foreign, {"view": "5"})
+    assert ids(store.recover(folder)) == ["view-0", "view-1", "view-2"]
+    assert not foreign.exists()
 
 
 def test_samples_that_the_index_does_not_know_replace_what_it_says(folder: Path) -> None:
@@ -161,6 +189,7 @@ def test_info_says_what_there_is(folder: Path) -> None:
     facts = json.loads(CliRunner().invoke(app, ["dataset", "info", str(folder), "--json"]).stdout)
     assert facts["views"] == 3
     assert facts["without_samples"] == 1
+    assert facts["bytes"]["samples"] == sum(path(folder, store.SAMPLES, n).stat().st_size for n in (1, 2))
     assert facts["spp"] == [8]
     assert facts["splits"] == {"train": 2, "val": 1}
     assert facts["licences"] == {"CC0-1.0": 3}

@@ -1,6 +1,7 @@
 """Training end to end on a tiny data set: exact resume, warm start, the batch stream."""
 
 import json
+import logging
 import shutil
 import sys
 from dataclasses import replace
@@ -13,7 +14,7 @@ from pathfold.metrics import rell2
 from pathfold.models import ALL_SAMPLES
 from pathfold_training import cli, data, store
 from pathfold_training.average import average
-from pathfold_training.config import Config, Data, Loss, Network, Optimiser
+from pathfold_training.config import Config, Data, Loss, Network, Optimiser, Pyramid
 from pathfold_training.data import (
     PATH_NAMES,
     SAMPLE_NAMES,
@@ -153,8 +154,10 @@ def test_runs_that_cannot_be_averaged_are_named(data_set: Path, tmp_path: Path) 
         average([one], tmp_path / "mean")
     with pytest.raises(ValueError, match="two holds a run already"):
         average([one, one], two)
-    with pytest.raises(FileNotFoundError, match="nothing"):
+    with pytest.raises(ValueError, match=r"cannot read .*nothing/last\.ckpt"):
         average([one, tmp_path / "nothing"], tmp_path / "mean")
+    with pytest.raises(ValueError, match="one is given twice"):
+        average([one, two, two / ".." / "one"], tmp_path / "mean")
     assert not (tmp_path / "mean").exists()
 
 
@@ -199,7 +202,19 @@ def test_views_of_few_samples_and_of_several_sizes_are_trained_on(tmp_path: Path
         ("fit pathfold-fast --out {0}/run --data {0}/few", 1, "one scene in ten is 'val'"),
         ("fit pathfold-fast --out {0}/run --data {0}/few --threads -1", 2, "--threads"),
         ("fit", 2, "preset"),
+        ("fit {0}/folder.yaml --out {0}/run --data {0}/few", 1, "folder.yaml: Is a directory; there are: kpcn-"),
+        ("fit {0}/binary.yaml --out {0}/run --data {0}/few", 1, "binary.yaml is no YAML"),
+        ("fit {0}/wrong.yaml --out {0}/run --data {0}/few", 1, "wrong.yaml: data.batch: Input should be"),
         ("card {0}/nothing --results {0}", 1, "has no manifest.json"),
+        ("card {0}/text --results {0}", 1, "text/manifest.json is no JSON"),
+        ("card {0}/foreign --results {0}", 1, "foreign/manifest.json lacks training; make it by pathfold-train export"),
+        ("average {0}/text {0}/foreign -o {0}/run", 1, "text/last.ckpt is no checkpoint of 'pathfold-train fit'"),
+        ("average {0}/foreign {0}/text -o {0}/run", 1, "foreign/last.ckpt is no checkpoint of 'pathfold-train fit'"),
+        ("average {0}/text {0}/foreign -o {0}/text/last.ckpt", 1, "last.ckpt is a file; give a folder"),
+        ("average {0}/whole {0}/text/../whole -o {0}/run", 1, "whole is given twice"),
+        ("export {0}/whole -o {0}/run", 1, "whole/record.json lacks started_from, commit; give another"),
+        ("export {0}/whole -o {0}/text/last.ckpt", 1, "last.ckpt is a file; give a folder"),
+        ("render --out {0}/text/last.ckpt/set --procedural 1", 1, "cannot write into {0}/text/last.ckpt/set"),
     ],
 )
 def test_what_a_command_cannot_do_is_one_line_and_leaves_nothing(
@@ -213,13 +228,81 @@ def test_what_a_command_cannot_do_is_one_line_and_leaves_nothing(
     few = write_data_set(tmp_path / "few")
     lines = [json.loads(line) for line in (few / "index.jsonl").read_text().splitlines()]
     (few / "index.jsonl").write_text("".join(json.dumps(line | {"split": "train"}) + "\n" for line in lines))
+    damaged_files(tmp_path)
     monkeypatch.setattr(sys, "argv", ["pathfold-train", *arguments.format(tmp_path).split()])
     with pytest.raises(SystemExit) as left:
         cli.main()
     error = capsys.readouterr().err
     assert left.value.code == code
-    assert error.startswith("pathfold-train: ") and error.count("\n") == 1 and words in error
+    assert error.startswith("pathfold-train: ") and error.count("\n") == 1 and words.format(tmp_path) in error
     assert not (tmp_path / "run").exists()
+
+
+def damaged_files(folder: Path) -> None:
+    """Presets, runs and model folders that are none, or damaged; of `whole` the record alone."""
+    for name in ("folder.yaml", "empty", "text", "foreign", "cut", "hollow", "whole"):
+        (folder / name).mkdir()
+    (folder / "binary.yaml").write_bytes(b"\xff\xfe\x00name")
+    (folder / "wrong.yaml").write_text("name: a\ndescription: b\ndata: {batch: 0}\n")
+    for name in ("last.ckpt", "manifest.json"):
+        (folder / "text" / name).write_text("a text\n")
+    torch.save({"weights": torch.zeros(2)}, folder / "foreign" / "last.ckpt")
+    (folder / "foreign" / "manifest.json").write_text('{"name": "a", "graphs": {}, "reconstruction": {}}')
+    manifest = {"name": "a", "graphs": {"network": {"file": "network.onnx"}}, "training": {"started_from": None}}
+    for name, graph in (("cut", b"\x08\x08\x3a\xff\x01\x0a"), ("hollow", b"")):
+        (folder / name / "manifest.json").write_text(json.dumps(manifest | {"reconstruction": {"operator": "gather"}}))
+        (folder / name / "network.onnx").write_bytes(graph)
+    pyramid = Pyramid(widths=(8, 8, 8, 8), convolutions=(1, 1, 1, 1), embedding=2)
+    task = Denoising(TINY.model_copy(update={"network": pyramid}))
+    state = {"state_dict": task.state_dict(), "hyper_parameters": {"config": task.config.model_dump()}}
+    state |= {"global_step": 1, "callbacks": {"TrainingSeconds": {"seconds": 1.0, "cpu_seconds": 1.0}}}
+    torch.save(state, folder / "whole" / "last.ckpt")
+    (folder / "whole" / "record.json").write_text('{"config": {}, "seed": 0, "hardware": "", "data": {}}')
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        ("nosuch", r"cannot read .*nosuch: No such file or directory; give a checkpoint"),
+        ("empty", r"cannot read .*empty/manifest\.json: No such file or directory; give a checkpoint"),
+        ("text/last.ckpt", r"text/last\.ckpt is no checkpoint of 'pathfold-train fit', or is damaged"),
+        ("foreign", r"foreign/manifest\.json lacks training; give a checkpoint"),
+        ("cut", r"cut/network\.onnx is no ONNX graph, or is damaged"),
+        ("hollow", r"hollow/network\.onnx holds no weights"),
+        ("whole/last.ckpt", r"does not fit preset 'tiny'; give a network of its family"),
+    ],
+)
+def test_a_start_that_is_none_is_named_before_anything_is_written(
+    data_set: Path, tmp_path: Path, start: str, words: str
+) -> None:
+    damaged_files(tmp_path)
+    with pytest.raises(ValueError, match=words):
+        fit(TINY, data_set, tmp_path / "run", start_from=tmp_path / start)
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_export_that_cannot_be_made_leaves_nothing(tmp_path: Path) -> None:
+    damaged_files(tmp_path)
+    with pytest.raises(ValueError, match="leave --standalone away"):
+        export(tmp_path / "whole" / "last.ckpt", tmp_path / "model", {}, standalone=True)
+    assert not (tmp_path / "model").exists()
+
+
+def test_advertisements_are_not_logged() -> None:
+    logger = logging.getLogger("lightning.pytorch.utilities.rank_zero")
+    said = [logging.LogRecord("", logging.INFO, "", 0, text, (), None) for text in ("try litlogger", "GPU available")]
+    assert [bool(logger.filter(record)) for record in said] == [False, True]
+
+
+@pytest.mark.parametrize("command", [[], ["dataset"], ["fit"]])
+def test_help_has_a_short_name(
+    command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["pathfold-train", *command, "-h"])
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert not left.value.code
+    assert "--help" in capsys.readouterr().out
 
 
 def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:

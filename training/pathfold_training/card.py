@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from os.path import relpath
 from pathlib import Path
 from typing import Any
+
+from .store import read_object
 
 PEERS = ("noisy", "oidn", "oidn-prefiltered")
 
@@ -83,13 +84,19 @@ The commands that train it again are in docs/training.md; all results and known 
 def write_card(folder: Path, results: Path) -> None:
     """README.md of a model folder, with its errors in the folder that `pathfold-train evaluate` wrote.
 
-    Raises ValueError without a manifest, or where the model was not evaluated at one spp there.
+    Raises ValueError without a manifest of `pathfold-train export`, or where the model was not evaluated at one spp
+    there.
     """
+    again = "make it by pathfold-train export"
     if not (folder / "manifest.json").is_file():
-        raise ValueError(f"{folder} is no model folder: it has no manifest.json; make one by pathfold-train export")
-    manifest = json.loads((folder / "manifest.json").read_text())
+        raise ValueError(f"{folder} is no model folder: it has no manifest.json; {again}")
+    manifest = read_object(folder / "manifest.json", ("name", "training"), again)
     section = error_section(manifest["name"], results, relpath(results, folder))
-    (folder / "README.md").write_text(model_card(manifest, section))
+    try:
+        text = model_card(manifest, section)
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{folder / 'manifest.json'} is not whole ({error}); {again}") from error
+    (folder / "README.md").write_text(text)
 
 
 def error_section(name: str, results: Path, link: str) -> str:

@@ -18,6 +18,8 @@ from .reference import BUDGET
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Render training data, train a model, export and evaluate it.",
 )
 console = Console(stderr=True)
@@ -25,12 +27,20 @@ console = Console(stderr=True)
 dataset = typer.Typer(no_args_is_help=True, help="What a data set holds.")
 app.add_typer(dataset, name="dataset")
 
+
+def _folder(out: Path) -> Path:
+    """Callback of --out: refuses a file, before any work."""
+    if out.is_file():
+        raise ValueError(f"--out {out} is a file; give a folder")
+    return out
+
+
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], typer.Option(help="Mitsuba's; cuda_ad_rgb needs a GPU")]
 
 
 @app.command()
 def render(
-    out: Annotated[Path, typer.Option("--out", help="data set folder; views already in it are kept")],
+    out: Annotated[Path, typer.Option("--out", callback=_folder, help="data set folder; views already in it are kept")],
     procedural: Annotated[int, typer.Option(min=0, help="number of generated scenes")] = 0,
     views: Annotated[
         int, typer.Option(min=1, help="views of each generated scene (--cameras: of a library scene)")
@@ -68,8 +78,6 @@ def render(
 
     if budget is not None and not math.isfinite(budget):
         raise ValueError(f"--budget {budget}: give core-seconds per view, such as {BUDGET}")
-    if out.is_file():
-        raise ValueError(f"--out {out} is a file; give a folder")
     if not (procedural or library or store.begun(out)):
         raise ValueError(
             f"{out} holds no views to complete, and none are asked for: give --procedural N or --library DIR"
@@ -135,7 +143,9 @@ def dataset_sheet(
 @app.command()
 def fit(
     preset: Annotated[str, typer.Argument(help="a preset's name (training/presets) or a .yaml file")],
-    out: Annotated[Path, typer.Option("--out", help="folder of checkpoints; resumes from its last one")],
+    out: Annotated[
+        Path, typer.Option("--out", callback=_folder, help="folder of checkpoints; resumes from its last one")
+    ],
     data: Annotated[Path | None, typer.Option("--data", help="data set made by 'pathfold-train render'")] = None,
     render_on_the_fly: Annotated[
         bool, typer.Option("--render-on-the-fly", help="instead of --data: render generated scenes while training")
@@ -155,8 +165,6 @@ def fit(
     from .fit import fit as run
     from .live import Live
 
-    if out.is_file():
-        raise ValueError(f"--out {out} is a file; give a folder")
     if (data is None) != render_on_the_fly:
         raise ValueError("give --data DIR, or --render-on-the-fly, and not both")
     config = load_preset(preset)
@@ -170,7 +178,7 @@ def fit(
 @app.command()
 def average(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="folders of 'fit', of one network")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="folder of the averaged run")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=_folder, help="folder of the averaged run")],
 ) -> None:
     """Average the weights of runs that went from one to the next. What else is recorded is the first one's."""
     from .average import average as run
@@ -181,7 +189,7 @@ def average(
 @app.command()
 def export(
     run: Annotated[Path, typer.Argument(help="folder of 'fit', with last.ckpt and record.json")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="model folder to write")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=_folder, help="model folder to write")],
     standalone: Annotated[bool, typer.Option(help="also graphs with the reconstruction inside")] = False,
     data: Annotated[
         Path | None,
@@ -194,6 +202,7 @@ def export(
     """Write a model folder: ONNX graphs, manifest and model card. Of the pathfold family in int8, too, with --data."""
     from .data import Stored
     from .export import export as write
+    from .fit import read_record
     from .quantise import add_int8, can_be_quantised
 
     checkpoint = run / "last.ckpt"
@@ -201,7 +210,7 @@ def export(
         raise ValueError(f"{run} holds no last.ckpt; give the --out folder of 'pathfold-train fit'")
     stored = Stored(data) if data else None
     held_out = stored.held_out() if stored else ()
-    record = json.loads((run / "record.json").read_text())
+    record = read_record(run)
     console.print(f"model: {write(checkpoint, out, record, standalone, held_out)}")
     if stored and can_be_quantised(out):
         console.print(add_int8(out, stored), highlight=False)

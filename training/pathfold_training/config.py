@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import yaml
 from pathfold.models import ALL_SAMPLES
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+
+Count = Annotated[int, Field(ge=1)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Weight = Annotated[float, Field(ge=0)]
 
 
 class Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Network(Strict):
@@ -37,7 +41,7 @@ class Pyramid(Strict):
     """The pathfold family's sizes, from half resolution down to 1/16."""
 
     family: Literal["pathfold"] = "pathfold"
-    widths: tuple[int, int, int, int] = Field((64, 96, 128, 160), description="channels per level")
+    widths: tuple[Count, Count, Count, Count] = Field((64, 96, 128, 160), description="channels per level")
     convolutions: tuple[int, int, int, int] = Field((3, 2, 2, 2), description="per level, the same on the way back up")
     embedding: int = Field(8, ge=1, description="C: channels of the path embedding")
     embedded: int = Field(0, ge=0, description="the most samples of a pixel that are embedded; 0 for all of them")
@@ -61,40 +65,47 @@ class Loss(Strict):
 
     # unbiased is for references of few samples; geometric is robust, each image's relative change alike
     image: Literal["robust", "unbiased", "geometric"] = "robust"
-    energy: float = 0.0  # error of block means, against darkening
-    albedo: float = 0.0  # error of the cleaned albedo, for networks that clean it
-    branch: float = 0.5  # per-branch terms beside the recombined image
-    logits: float = 1.0e-4  # excess of |logit| over 10
-    manifold: float = (
+    energy: Weight = 0.0  # error of block means, against darkening
+    albedo: Weight = 0.0  # error of the cleaned albedo, for networks that clean it
+    branch: Weight = 0.5  # per-branch terms beside the recombined image
+    logits: Weight = 1.0e-4  # excess of |logit| over 10
+    manifold: Weight = (
         0.0  # lambda of the slides' formula; the paper's 0.1 is 0.0125 here (its code is 1/8 of the formula)
     )
-    manifold_pairs: int = 16384  # local and non-local pairs drawn per image, each
+    manifold_pairs: Count = 16384  # local and non-local pairs drawn per image, each
 
 
 class Data(Strict):
-    crop: int = 96
-    batch: int = 4
-    spp_min: int = 1
-    spp_max: int = 8
-    drop: float = 0.1  # probability that an optional input is absent, each on its own
-    drop_all: float = 0.05  # ... that everything beyond color (and samples) is absent
-    drop_split: float = 0.15
-    drop_paths: float = 0.0  # ... that the samples are absent, for networks that can do without
-    magnified: float = 0.0  # ... that a crop is magnified, one to three times (magnify.py)
-    fireflies: float = 0.0  # ... that a few pixels of a crop get a firefly that the reference does not show
+    crop: int = Field(96, ge=16)  # the loss looks at blocks of 16x16 pixels
+    batch: Count = 4
+    spp_min: Count = 1
+    spp_max: Count = 8
+    drop: Share = 0.1  # probability that an optional input is absent, each on its own
+    drop_all: Share = 0.05  # ... that everything beyond color (and samples) is absent
+    drop_split: Share = 0.15
+    drop_paths: Share = 0.0  # ... that the samples are absent, for networks that can do without
+    magnified: Share = 0.0  # ... that a crop is magnified, one to three times (magnify.py)
+    fireflies: Share = 0.0  # ... that a few pixels of a crop get a firefly that the reference does not show
     cleaned: bool = False  # the pathfold family learns from references cleaned by clean.py, not from them as they are
-    normal_turn: float = 0.3  # probability of a random rotation, so that world space works too
+    normal_turn: Share = 0.3  # probability of a random rotation, so that world space works too
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.spp_min > self.spp_max:
+            raise ValueError(f"spp_min {self.spp_min} is more than spp_max {self.spp_max}")
+        return self
 
 
 class Optimiser(Strict):
-    steps: int = 4000
-    learning_rate: float = 5.0e-4
-    warmup: int = 100
-    final_fraction: float = 0.01  # of the learning rate, at the end of the cosine
-    clip: float = 1.0  # gradient norm
+    steps: Count = 4000
+    learning_rate: Weight = 5.0e-4
+    warmup: Count = 100
+    final_fraction: Share = 0.01  # of the learning rate, at the end of the cosine
+    clip: Weight = 1.0  # gradient norm
     precision: Literal["auto", "fp32", "bf16"] = "auto"  # bf16 on a GPU; fp32 on a CPU, faster there without AMX
-    lattice: int = 3  # KPCN's kernels are predicted on every n-th pixel in both directions while training
-    average: float = 0.0  # decay of the exponential moving average of the weights that is kept; 0 keeps the last ones
+    lattice: Count = 3  # KPCN's kernels are predicted on every n-th pixel in both directions while training
+    # decay of the exponential moving average of the weights that is kept; 0 keeps the last ones
+    average: float = Field(0.0, ge=0, lt=1)
 
 
 class Config(Strict):
@@ -110,16 +121,34 @@ class Config(Strict):
     @staticmethod
     def load(path: Path) -> Config:
         """Read a preset. Raises ValueError naming the file and each key that does not fit."""
+        there = f"there are: {', '.join(preset_names())}"
         try:
             return Config.model_validate(yaml.safe_load(path.read_text()))
         except FileNotFoundError:
-            raise ValueError(f"no preset {path}; there are: {', '.join(preset_names())}") from None
-        except (ValidationError, yaml.YAMLError) as error:
-            raise ValueError(f"preset {path}: {error}") from error
+            raise ValueError(f"no preset {path}; {there}") from None
+        except OSError as error:
+            raise ValueError(f"cannot read preset {path}: {error.strerror}; {there}") from error
+        except ValidationError as error:
+            raise ValueError(f"preset {path}: {problems(error)}") from error
+        except (UnicodeDecodeError, yaml.YAMLError) as error:
+            raise ValueError(f"preset {path} is no YAML ({error}); {there}") from error
 
     def with_steps(self, steps: int) -> Config:
         """The same, trained for so many steps."""
         return self.model_copy(update={"optimiser": self.optimiser.model_copy(update={"steps": steps})})
+
+
+def problems(error: ValidationError) -> str:
+    """Each key that does not fit, with its fault, in one line."""
+    found = []
+    for entry in error.errors(include_url=False):
+        keys = [str(key) for key in entry["loc"]]
+        if keys[:1] == ["network"]:
+            del keys[1:2]  # its family, which is no key
+        of_key = entry["type"] in ("missing", "extra_forbidden", "value_error")  # whatever the value
+        fault = entry["msg"] if of_key else f"{entry['msg']}, not {entry['input']!r}"
+        found.append(f"{'.'.join(keys)}: {fault}" if keys else fault)
+    return "; ".join(found)
 
 
 HERE = Path(__file__).resolve().parent

@@ -43,7 +43,10 @@ def info(folder: Path, check: bool = False) -> dict[str, Any]:
         "cpu_hours": round(sum(line["cpu_seconds"] for line in lines) / 3600, 2),
         "licences": dict(Counter(line["licence"] for line in lines)),
         "origins": {line["scene"]: line["origin"] for line in lines if line["kind"] == "library"},
-        "bytes": {k: sum(line["files"].get(k, {"bytes": 0})["bytes"] for line in lines) for k in store.KINDS},
+        "bytes": {
+            kind: sum(line["files"][kind]["bytes"] for line in lines if store.present(folder, line, kind))
+            for kind in store.KINDS
+        },
         "faults": faults(folder, lines),
     }
     return facts | (

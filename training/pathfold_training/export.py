@@ -16,10 +16,9 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
 from .card import model_card
-from .config import Config
 from .data import View
 from .features import DEMODULATION_EPSILON, DESCRIPTOR_CHANNELS, OPTIONAL
-from .fit import training_seconds
+from .fit import load_checkpoint, training_seconds
 from .halves import narrow, round_weights
 from .needs import samples_without_paths
 from .networks import embedding, kpcn, pathfold
@@ -27,6 +26,7 @@ from .networks.kpcn import BRANCHES, Branch, Kpcn
 from .networks.pathfold import Pathfold
 from .networks.pathfold_graphs import EmbeddingGraph, NetworkGraph
 from .references import write_references
+from .store import make_folder
 from .task import Denoising
 
 OPSET = 18
@@ -102,8 +102,8 @@ def load_task(checkpoint: Path) -> tuple[Denoising, dict]:
 
     Weight norm is folded, a pathfold network's weights are rounded to what is stored of them.
     """
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    task = Denoising(Config.model_validate(state["hyper_parameters"]["config"]))
+    config, state = load_checkpoint(checkpoint)
+    task = Denoising(config)
     task.load_state_dict(state["state_dict"])
     for module in task.modules():
         if parametrize.is_parametrized(module):
@@ -145,13 +145,16 @@ def sha256(file: Path) -> str:
 def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False, held_out: Sequence[View] = ()) -> Path:
     """Write the model folder `out`; `record` is the training run's record.json. Returns `out`.
 
-    On `held_out` views a model that can do without path descriptors is tried without, see needs.py.
+    On `held_out` views a model that can do without path descriptors is tried without, see needs.py. Raises ValueError
+    for a `checkpoint` that is none and for `standalone` where there is no such graph: nothing is written then.
     """
     task, state = load_task(checkpoint)
-    out.mkdir(parents=True, exist_ok=True)
+    if standalone and isinstance(task.model, Pathfold):
+        raise ValueError(
+            f"{task.config.name}: a gather pyramid has no graph with the reconstruction inside; leave --standalone away"
+        )
+    make_folder(out)
     if isinstance(task.model, Pathfold):
-        if standalone:
-            raise ValueError(f"{task.config.name}: a gather pyramid has no graph with the reconstruction inside")
         own = write_pyramid(task.model, out)
     else:
         own = write_branches(task.model, out, standalone)
@@ -169,7 +172,7 @@ def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False, 
 
 
 def describe(task: Denoising, state: dict, own: dict, record: dict) -> dict:
-    """The manifest (DESIGN: contract 4.5); `own` is the network family's part."""
+    """The manifest, as sdk/manifest.schema.json has it; `own` is the network family's part."""
     return {
         "format": 1,
         "name": task.config.name,

@@ -3,35 +3,44 @@
 from __future__ import annotations
 
 import json
+import logging
 import platform
 import re
 import subprocess
 import time
+import warnings
 from functools import partial
 from pathlib import Path
 
 import lightning
 import onnx
 import torch
+from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint, RichProgressBar, TQDMProgressBar, WeightAveraging
 from lightning.pytorch.loggers import CSVLogger
 from lightning.pytorch.utilities import rank_zero_only
 from onnx import numpy_helper
+from pydantic import ValidationError
 from rich.console import Console
 from torch import Tensor
 from torch.nn.utils import parametrize
 from torch.utils.data import DataLoader
 
 from . import halves
-from .config import Config
+from .config import Config, problems
 from .data import Crops, Stored, ValidationViews
 from .live import Live, LiveViews
 from .networks.pathfold import Pathfold, Standardised
 from .networks.pathfold_graphs import trained_weights
-from .store import Line
+from .store import Line, make_folder, read_object
 from .task import Denoising
 
 RECORD = "record.json"
+START = "give a checkpoint of 'pathfold-train fit' or a model folder of 'pathfold-train export'"
+
+# an advertisement, and a call of Lightning's own that torch is about to drop
+logging.getLogger("lightning.pytorch.utilities.rank_zero").addFilter(lambda line: "litlogger" not in line.getMessage())
+warnings.filterwarnings("ignore", ".*LeafSpec.* is deprecated", module="lightning")
 
 
 class TrainingSeconds(Callback):
@@ -81,8 +90,8 @@ def fit(
     as many processes (Lightning's DDP) share each batch of the preset and learn the same as one would.
     `threads` 0 leaves torch's choice. `start_from` is a checkpoint or an exported model folder whose weights begin the
     run: kpcn-vanilla's for the path variants, say (the authors tune R alone first, then attach F), or a shipped model's
-    to go on with it on other data. Raises ValueError if `data` holds no data set or `out` belongs to another
-    preset, seed or number of steps.
+    to go on with it on other data. Raises ValueError if `data` holds no data set, `start_from` no weights that fit, or
+    `out` belongs to another preset, seed or number of steps: nothing is written then.
     """
     source = data if isinstance(data, Live) else Stored(data)
     if isinstance(source, Stored):
@@ -90,12 +99,15 @@ def fit(
     if threads:
         torch.set_num_threads(threads)
     lightning.seed_everything(seed, verbose=False)
-    out.mkdir(parents=True, exist_ok=True)
     last = out / "last.ckpt"
     done = completed_steps(last, config)
-    begun = json.loads((out / RECORD).read_text()) if done and (out / RECORD).is_file() else {}
+    begun = read_record(out) if done and (out / RECORD).is_file() else {}
     if begun.get("seed", seed) != seed:
         raise ValueError(f"{out} was begun with --seed {begun['seed']}: give that, or choose another --out")
+    task = Denoising(config)
+    if start_from and not done:
+        warm_start(task, start_from)
+    started = start_record(start_from) if start_from and not begun else None
     on_terminal = Console().is_terminal
     options = config.optimiser
     trainer = lightning.Trainer(
@@ -127,17 +139,15 @@ def fit(
     held_out = views.held_out()
     views(done)  # on the fly: the first are rendered before the clock of training runs
     crops = Crops(views, config.data, seed, paths, albedo=config.loss.albedo > 0.0, skip=done, **process)
-    record = partial(write_record, out, config, views.lines, seed, start_from, commit(), begun)  # of the code that runs
+    record = partial(write_record, out, config, views.lines, seed, started, commit(), begun)  # of the code that runs
+    make_folder(out)
     record()
     # batches are made whole by the data sets; one process keeps the batch stream and the resume exact
     train = DataLoader(crops, batch_size=None, num_workers=0)
     validation = DataLoader(ValidationViews(held_out, paths), batch_size=None, num_workers=0)
-    task = Denoising(config)
-    if start_from and not last.is_file():
-        warm_start(task, start_from)
     trainer.fit(task, train, validation, ckpt_path=last if last.is_file() else None, weights_only=False)
     record()  # views rendered on the fly have joined
-    trainer.save_checkpoint(last)  # the callback saves at multiples of `save_every` only
+    trainer.save_checkpoint(last, weights_only=False)  # the callback saves at multiples of `save_every` only
     return last
 
 
@@ -159,7 +169,10 @@ def warm_start(task: Denoising, source: Path) -> None:
         name = name.replace("model.albedo_kernels.", "model.albedo_heads.0.")  # one 5x5 kernel: the finest level's
         new = merged.get(name)
         if new is None or not fits(value, new, wider and not name.startswith("model.sample.")):
-            raise ValueError(f"{source}: its weight {name} does not fit preset '{task.config.name}'")
+            raise ValueError(
+                f"{source}: its weight {name} does not fit preset '{task.config.name}'; give a network of its "
+                "family that is no wider"
+            )
         if wider and value.dim() > 1:
             new[: value.shape[0], value.shape[1] :] = 0.0
         new[tuple(slice(n) for n in value.shape)] = value
@@ -198,9 +211,35 @@ def plain_weights(task: Denoising) -> dict[str, torch.Tensor]:
     return weights
 
 
+def load_checkpoint(path: Path) -> tuple[Config, dict]:
+    """The preset of a checkpoint of `fit`, and its state. Raises ValueError naming a file that is none, or damaged."""
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        config = Config.model_validate(state["hyper_parameters"]["config"])  # keys newer than the run have defaults
+        _ = state["state_dict"], state["global_step"], training_seconds(state)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}; {START}") from error
+    except ValidationError as error:
+        raise ValueError(f"{path} is of another version, whose preset does not fit: {problems(error)}") from error
+    except Exception as error:  # torch's are of many kinds, as the bytes come
+        raise ValueError(f"{path} is no checkpoint of 'pathfold-train fit', or is damaged; give another") from error
+    return config, state
+
+
+def read_record(run: Path) -> dict:
+    """A run's record.json. Raises ValueError naming it where it is gone or damaged."""
+    keys = ("config", "seed", "started_from", "commit", "hardware", "data")
+    return read_object(run / RECORD, keys, "give another folder of 'pathfold-train fit'")
+
+
+def read_manifest(folder: Path) -> dict:
+    """An exported model's manifest. Raises ValueError naming it where it is gone, damaged or not `export`'s."""
+    return read_object(folder / "manifest.json", ("name", "graphs", "reconstruction", "training"), START)
+
+
 def checkpoint_weights(checkpoint: Path) -> dict[str, torch.Tensor]:
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    task = Denoising(Config.model_validate(state["hyper_parameters"]["config"]))
+    config, state = load_checkpoint(checkpoint)
+    task = Denoising(config)
     # networks of before cleaned the albedo by one kernel, whose weights go on, or by other features, whose do not
     before = ("model.cleaning.", "model.albedo_kernels.")
     stored = {name: value for name, value in state["state_dict"].items() if not name.startswith(before)}
@@ -216,7 +255,7 @@ def folder_weights(folder: Path) -> dict[str, torch.Tensor]:
     Raises ValueError for graphs that `pathfold-train export` did not write.
     """
     weights = {}
-    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest = read_manifest(folder)
     graphs = {name: graph_weights(folder / graph["file"]) for name, graph in manifest["graphs"].items()}
     if manifest["reconstruction"]["operator"] == "pyramid":
         try:
@@ -235,8 +274,15 @@ def folder_weights(folder: Path) -> dict[str, torch.Tensor]:
 
 
 def graph_weights(file: Path) -> dict[str, torch.Tensor]:
-    """A graph's initialisers by name, float32. Raises ValueError where two layers share one."""
-    model = onnx.load(file)
+    """A graph's initialisers by name, float32. Raises ValueError where two layers share one, or it cannot be read."""
+    try:
+        model = onnx.load(file)
+    except OSError as error:
+        raise ValueError(f"cannot read {file}: {error.strerror}; {START}") from error
+    except DecodeError as error:
+        raise ValueError(f"{file} is no ONNX graph, or is damaged ({error}); {START}") from error
+    if not model.graph.initializer:  # cut short before its weights it is a graph still
+        raise ValueError(f"{file} holds no weights; {START}")
     halves.widen(model)
     read = [name for node in model.graph.node if node.op_type == "Conv" for name in node.input[1:]]
     if len(set(read)) < len(read):  # the exporter merges equal ones, those of untrained layers
@@ -247,8 +293,7 @@ def graph_weights(file: Path) -> dict[str, torch.Tensor]:
 def completed_steps(checkpoint: Path, config: Config) -> int:
     if not checkpoint.is_file():
         return 0
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    before = Config.model_validate(state["hyper_parameters"]["config"])  # keys newer than the run have defaults
+    before, state = load_checkpoint(checkpoint)
     steps = before.optimiser.steps
     if before == config.with_steps(steps) != config:
         raise ValueError(
@@ -262,7 +307,7 @@ def completed_steps(checkpoint: Path, config: Config) -> int:
 
 @rank_zero_only
 def write_record(
-    out: Path, config: Config, views: list[Line], seed: int, start_from: Path | None, code: str, begun: dict
+    out: Path, config: Config, views: list[Line], seed: int, started: dict | None, code: str, begun: dict
 ) -> None:
     """record.json beside the checkpoint: all that the model card says about how the weights came to be.
 
@@ -272,7 +317,7 @@ def write_record(
     record = {
         "config": config.model_dump(),
         "seed": seed,
-        "started_from": start_record(start_from),
+        "started_from": started,
         "commit": code,
         "hardware": hardware(),
         "torch": torch.__version__,
@@ -289,22 +334,19 @@ def write_record(
     (out / RECORD).write_text(json.dumps(record, indent=2) + "\n")
 
 
-def start_record(source: Path | None) -> dict | None:
+def start_record(source: Path) -> dict:
     """Name, steps and seconds of the run whose weights this one began with, all its own beginnings included."""
-    if source is None:
-        return None
     if source.is_dir():
-        manifest = json.loads((source / "manifest.json").read_text())
+        manifest = read_manifest(source)
         training = manifest["training"]
         parts = [training, training["started_from"] or {}]
         total = {key: sum(part.get(key, 0) for part in parts) for key in ("steps", "seconds", "cpu_seconds")}
         return {"preset": manifest["name"], "commit": training["commit"], **total}
-    state = torch.load(source, map_location="cpu", weights_only=True)
+    config, state = load_checkpoint(source)
     own = {"steps": state["global_step"], **training_seconds(state)}
-    record = source.parent / RECORD
-    before = json.loads(record.read_text())["started_from"] if record.is_file() else None
+    before = read_record(source.parent)["started_from"] if (source.parent / RECORD).is_file() else None
     total = {key: value + (before or {}).get(key, 0) for key, value in own.items()}
-    return {"preset": state["hyper_parameters"]["config"]["name"], **total}
+    return {"preset": config.name, **total}
 
 
 def training_seconds(state: dict) -> dict[str, float]:

@@ -57,7 +57,7 @@ def render(
     of `workers` processes. Returns how many views are "done", "kept" and "failed"; reasons are in out/render.log.
     Raises OSError where a file cannot be written; all that was written before is whole.
     """
-    out.mkdir(parents=True, exist_ok=True)
+    store.make_folder(out)
     with _log_file(out / "render.log"):
         lines = {line["id"]: line for line in store.recover(out) if not _lost(line)}
         spend = BUDGET if budget is None else budget

@@ -9,15 +9,18 @@ from statistics import fmean
 
 import torch
 
-from .config import Config
 from .data import ValidationViews, View, without_paths
+from .fit import load_checkpoint
 from .task import Denoising
 
 
 def load(checkpoint: Path) -> Denoising:
-    """The network of a checkpoint of `fit`, ready to denoise: its averaged weights where the preset averages."""
-    state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    task = Denoising(Config.model_validate(state["hyper_parameters"]["config"])).eval()
+    """The network of a checkpoint of `fit`, ready to denoise: its averaged weights where the preset averages.
+
+    Raises ValueError naming a file that is no such checkpoint.
+    """
+    config, state = load_checkpoint(checkpoint)
+    task = Denoising(config).eval()
     task.load_state_dict(state["state_dict"])
     return task
 

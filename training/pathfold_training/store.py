@@ -20,7 +20,7 @@ import json
 import logging
 import os
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from safetensors.numpy import save
 Arrays = dict[str, NDArray[Any]]
 Line = dict[str, Any]
 FORMAT = 2
+NEEDED = {"id", "files", "scene", "split", "spp", "crop", "crops", "exposure", "depth_scale"}  # in a line
 REFERENCES, SAMPLES = KINDS = "references", "samples"
 OWN = {  # the facts of a line that belong to a kind of file: what its latest one says counts
     REFERENCES: ("reference_spp", "reference_rell2", "exposure", "depth_scale", "budget"),
@@ -96,6 +97,30 @@ def write_whole(path: Path, content: bytes) -> None:
         raise OSError(error.errno, f"cannot write {path}: {error.strerror}; {cure}") from error
 
 
+def make_folder(folder: Path) -> None:
+    """Raises OSError naming the folder where it cannot be made or written to."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise OSError(f"cannot write into {folder}: {error.strerror}; give another folder") from error
+
+
+def read_object(path: Path, keys: Sequence[str], cure: str) -> dict[str, Any]:
+    """What a JSON file holds, `keys` among it. Raises ValueError naming the file, its fault and the cure."""
+    try:
+        content = json.loads(path.read_bytes())
+        missing = [key for key in keys if key not in content] if isinstance(content, dict) else list(keys)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror}; {cure}") from error
+    except ValueError as error:
+        raise ValueError(f"{path} is no JSON ({error}); {cure}") from error
+    if missing:
+        raise ValueError(f"{path} lacks {', '.join(missing)}; {cure}")
+    return content
+
+
 def begun(folder: Path) -> bool:
     """The folder holds views, though it may have lost its index."""
     return (folder / "index.jsonl").is_file() or any(folder.glob("*/*.safetensors"))
@@ -113,24 +138,34 @@ def append_line(folder: Path, line: Line) -> None:
 
 
 def read_index(folder: Path) -> list[Line]:
-    """The last line of every view, whatever has become of its files; a line cut short is left out.
+    """The last line of every view, whatever has become of its files; a line cut short or altered is left out.
 
     Raises ValueError for a data set of another format.
     """
     index = folder / "index.jsonl"
     lines = {}
-    for text in index.read_text().splitlines() if index.exists() else []:
+    for text in index.read_bytes().splitlines() if index.exists() else []:
         try:
             line = json.loads(text)
-        except json.JSONDecodeError:
+        except ValueError:  # no JSON, or no text at all
             continue
-        if line.get("format") != FORMAT:
+        if isinstance(line, dict) and line.get("format") != FORMAT:
             raise ValueError(
                 f"{folder} holds a data set of format {line.get('format', 1)}, this version reads format {FORMAT}: "
                 "render it anew into another folder"
             )
-        lines[line["id"]] = line
+        if _whole(line):
+            lines[line["id"]] = line
     return list(lines.values())
+
+
+def _whole(line: Any) -> bool:
+    """A line of the index that says all that is needed of a view."""
+    if not isinstance(line, dict) or not line.keys() >= NEEDED:
+        return False
+    if not isinstance(line["id"], str) or not isinstance(line["files"], dict):
+        return False
+    return all(isinstance(seal, dict) and seal.keys() >= {"bytes", "sha256"} for seal in line["files"].values())
 
 
 def reference_color(folder: Path, view: str) -> NDArray[np.float32]:
@@ -202,8 +237,9 @@ def _facts(path: Path) -> Line | None:
     """What a file's metadata says of its view; None where it cannot be read."""
     try:
         with safe_open(path, framework="numpy") as file:
-            return json.loads(file.metadata()["view"])
-    except (SafetensorError, OSError, KeyError, TypeError):
+            facts = json.loads(file.metadata()["view"])
+        return facts if _whole(facts | {"files": {}}) else None
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError):
         return None
 
 
