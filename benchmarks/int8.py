@@ -1,6 +1,6 @@
 """What int8 would bring a pathfold model: time of its network and error on held-out views, against fp32.
 
-    python benchmarks/int8.py MODEL_FOLDER DATA [--views 8 --crops 48 --spp 2 8 --fp32 down.0.0 --percentile 99.99]
+    python benchmarks/int8.py MODEL_FOLDER DATA [--views 16 --crops 192 --spp 2 8 --fp32 down.0.0 --percentile 99.99]
 
 Quantises as `pathfold-train export --data` does, prints a Markdown table and leaves the folder as it is. `--fp32`
 leaves these layers as they are; without `--percentile` activations range from their least to their
@@ -16,7 +16,8 @@ import numpy as np
 from onnxruntime import InferenceSession, SessionOptions
 from pathfold.report.results import geometric
 from pathfold_training.data import Stored, ValidationViews
-from pathfold_training.quantise import FILE, Feeds, network_feeds, quantised_copy, ratios, trained_as
+from pathfold_training.needs import VIEWS
+from pathfold_training.quantise import CROPS, FILE, Feeds, network_feeds, quantised_copy, ratios, trained_as
 
 
 def seconds(path: Path, feeds: Feeds, runs: int) -> float:
@@ -36,8 +37,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--views", type=int, default=8)
-    parser.add_argument("--crops", type=int, default=48)
+    parser.add_argument("--views", type=int, default=VIEWS)
+    parser.add_argument("--crops", type=int, default=CROPS)
     parser.add_argument("--spp", type=int, nargs="+", default=[2, 8])
     parser.add_argument("--fp32", nargs="*", default=(), help="layers to leave in fp32")
     parser.add_argument("--percentile", type=float, default=0, help="of activations that fits their range; 0: all")

@@ -14,7 +14,6 @@ import torch
 from pathfold.check import check_model
 from pathfold.check.measure import drift, relative_error, tolerance
 from pathfold.denoising import Denoiser
-from pathfold.models import ALL_SAMPLES
 from pathfold_training import needs, quantise
 from pathfold_training.config import Config, Data, Optimiser, Pyramid
 from pathfold_training.data import Batch, Stored, ValidationViews
@@ -437,4 +436,4 @@ def test_from_which_spp_on_paths_can_go_is_measured(exported: tuple[Path, Denois
     blind.model.first.weight.data[:, 4 * PIXEL_CHANNELS :] = 0  # sees nothing of the embedding
     blind.model.presence.weight.data.zero_()
     assert needs.samples_without_paths(blind, views) == 2
-    assert needs.ratio(exported[1], ValidationViews(views, ALL_SAMPLES, 2)) != 1
+    assert needs.ratio(exported[1], views, 2) != 1
