@@ -5,7 +5,7 @@ WORKERS ?= 2 # test processes; each may hold torch and Mitsuba
 CXX_SOURCES = $(shell find sdk python/bindings -name '*.cpp' -o -name '*.hpp' -o -name '*.h' -o -name '*.c')
 PY_SOURCES = python training tests tools benchmarks
 
-.PHONY: help setup build demo test test-long sanitize lint format bench wheel lock clean
+.PHONY: help setup build demo test test-long sanitize lint format wheel lock clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)

@@ -170,5 +170,5 @@ def test_the_command_says_what_it_chose(
     assert "single-3, tiles of " in capsys.readouterr().out
     assert run("-m", "single-3", "--seconds", "1e-9") == console.MODEL
     assert "nothing stays inside 1e-09 s" in capsys.readouterr().err
-    assert run("-m", "single-3", "--memory", "0") == console.INPUT
+    assert run("-m", "single-3", "--memory", "0") == console.USAGE
     assert "memory_mb is 0" in capsys.readouterr().err

@@ -1,10 +1,13 @@
 """The command line: what it writes, what it says, and how it fails."""
 
+import contextlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -100,7 +103,7 @@ def test_denoise_says_what_it_left_out(run, tmp_path: Path) -> None:
     code, out, _ = run(*arguments, "--leave-out", "none")
     assert code == 0 and "left out" not in out
     code, _, err = run(*arguments, "--leave-out", "pixels")
-    assert code == 3 and 'leave_out is "pixels"; it must be all, none' in err
+    assert code == console.USAGE and 'leave_out is "pixels"; it must be all, none' in err
 
 
 def test_denoise_says_which_parts_of_the_beauty_stay_noisy(run, tmp_path: Path) -> None:
@@ -230,6 +233,31 @@ def test_version_and_help(run) -> None:
     assert all(command in run("--help")[1] for command in ("denoise", "render", "info", "compare", "Exit codes"))
 
 
+@pytest.mark.parametrize(
+    "options", [("--rr-depth", -3), ("--max-depth", 10**11), ("--variant", "scalar_rgb"), ("--size", "0x0")]
+)
+def test_render_refuses_what_cannot_be_traced(run, tmp_path: Path, options: tuple[object, ...]) -> None:
+    (tmp_path / "scene.xml").write_text(SCENE)
+    code, _, err = run("render", tmp_path / "scene.xml", "-o", tmp_path / "out.exr", *options)
+    assert code == console.USAGE and str(options[0]) in err and err.count("\n") == 1
+
+
+def test_an_interrupt_is_noticed_even_where_a_library_drops_it(run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def dropped(*_arguments: object, **_options: object) -> None:
+        with console.progress("work", quiet=True) as tell:
+            with contextlib.suppress(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(5)
+            tell(0.5)
+            pytest.fail("went on")
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(sys.modules["pathfold.cli.info"], "installation", dropped)
+    code, _, err = run("info")
+    assert (code, err) == (console.INTERRUPTED, "pathfold: interrupted; no file was left half written\n")
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_render(run, tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     (tmp_path / "scene.xml").write_text(SCENE)
@@ -322,7 +350,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "no color": (["denoise", no_color, *out], 3, "no color found; it has N; name it with --map"),
         "no samples": (["denoise", good, *out[:2], "-m", "samples-5"], 3, "samples.density, samples.descriptor"),
         "no such layer": (["denoise", good, *out, "--map", "normal=N"], 3, "no such layer; it has R,G,B, albedo"),
-        "bad map": (["denoise", good, *out, "--map", "normal"], 3, "--map normal: write BUFFER=LAYER"),
+        "bad map": (["denoise", good, *out, "--map", "normal"], 2, "--map normal: write BUFFER=LAYER"),
         "guide size": (["denoise", good, *out, "--alb", small], 3, "small.exr: 8x8, the picture is 12x9"),
         "no model": (["denoise", good, *out[:2], "-m", "nope"], 4, 'no model "nope"; models found: '),
         "no provider": (["denoise", good, *out, "--provider", "warp"], 4, "provider warp"),
@@ -338,7 +366,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "no scene": (["render", tmp_path / "no.xml", *scene], 3, "no such file"),
         "bad scene": (["render", tmp_path / "broken.xml", *scene], 3, "broken.xml: not a scene"),
         "not to EXR": (["render", good, "-o", tmp_path / "out.png"], 5, "need an EXR; name it out.exr"),
-        "bad size": (["render", tmp_path / "broken.xml", *scene, "--size", "9"], 3, "--size 9"),
+        "bad size": (["render", tmp_path / "broken.xml", *scene, "--size", "9"], 2, "--size 9"),
         "sizes differ": (["compare", good, small], 3, "good.exr is 12x9"),
         "not finite": (["compare", nan, good], 3, "nan.exr: 108 pixels are not finite"),
         "unknown command": (["denoize"], 2, "No such command 'denoize'"),

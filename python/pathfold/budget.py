@@ -7,6 +7,7 @@ takes is scaled to the frame's windows (tiles with their overlap).
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import ceil
+from numbers import Real
 from time import perf_counter
 from typing import Any
 
@@ -99,15 +100,15 @@ class Budget:
         self, seconds: float | None = None, memory_mb: float | None = None, model: str | None = None, **options: Any
     ) -> None:
         for name, value in (("seconds", seconds), ("memory_mb", memory_mb)):
-            if value is not None and not 0 < value < float("inf"):
-                raise failure("invalid-argument", f"{name} is {value}; it must be > 0 and finite")
+            if value is not None and not (isinstance(value, Real) and 0 < value < float("inf")):
+                raise failure("invalid-argument", f"{name} is {value!r}; it must be > 0 and finite")
         if memory_mb is not None and not memory.can_be_watched():
             raise failure("unsupported", "memory_mb: this system does not tell what a process holds; leave it away")
         self.seconds, self.memory_mb = seconds, memory_mb
         known = models.available()
         needed = {options.get("precision", "auto")} & {"int8"}
         fitting = [name for name in PREFERRED if name in known and needed <= {*models.precisions(name)}]
-        self.models = [model] if model else fitting
+        self.models = fitting if model is None else [model]
         if not self.models:
             raise failure(
                 "not-found",
@@ -149,6 +150,7 @@ class Budget:
         return replace(found, buffers={name: buffers[name] for name in found.buffers})
 
     def _search(self, buffers: Buffers, begin: float, samples_per_pixel: int, later_mb: float) -> Choice:
+        _check_sizes(buffers)
         refused: list[tuple[float, str]] = []
         for candidate in self._candidates(buffers):
             given = _without_paths(buffers) if candidate.paths is False else buffers
@@ -191,7 +193,7 @@ class Budget:
             found += [Candidate(name, paths) for paths in ((True, False) if optional else (None,))]
         if not found:
             needed = f"{', '.join(self.models)} require buffers that are not there"
-            raise failure("invalid-argument", f"{needed}; there are {', '.join(sorted(buffers))}")
+            raise failure("invalid-argument", f"{needed}; there are {', '.join(sorted(buffers)) or 'none'}")
         return found
 
     def _plan(self, cost: Cost, tiling: Tiling, buffers: Buffers, later_mb: float) -> Plan:
@@ -209,6 +211,19 @@ class Budget:
                 break
         seconds = (cost.window_ms * total + cost.frame_ms * width * height) / 1000
         return Plan(edge, seconds, needed, total / (width * height))
+
+
+def _check_sizes(buffers: Buffers) -> None:
+    """Raise a PathfoldError where a trial's piece could not be cut out of all of them alike."""
+    first = next(iter(buffers), "")
+    for name, pixels in buffers.items():
+        axes = "S x H x W x C" if name.startswith("samples.") else "H x W x C"
+        if pixels.ndim != axes.count("x") + 1:
+            raise failure("invalid-argument", f"{name} is of shape {pixels.shape}; give {axes}")
+        (height, width), (right, across) = pixels.shape[-3:-1], buffers[first].shape[-3:-1]
+        if (height, width) != (right, across):
+            said = f"{name} is {width}x{height} pixels, but {first} is {across}x{right}"
+            raise failure("invalid-argument", f"{said}; give buffers of one size")
 
 
 def _try(denoiser: Denoiser, buffers: Buffers, samples_per_pixel: int) -> Cost:

@@ -69,10 +69,19 @@ class Denoiser:
         if not isinstance(model, _core.Model):
             if not isinstance(model, (str, os.PathLike)):
                 raise _not_a(f"model is {_kind(model)}", "a name, a folder, or the `model` of another Denoiser")
+            for name, text in (("provider", provider), ("precision", precision)):
+                _check_name(name, text)
             folder = os.fspath(models.find(model))
-            model = _core.Model(folder, provider=provider, threads=threads, precision=precision)
+            count = _whole("threads", threads, "a whole number, 0 for all cores")
+            model = _core.Model(folder, provider=provider, threads=count, precision=precision)
         self.model = model
-        self._core = _core.Denoiser(self.model, memory_mb=memory_mb, tile=tile, leave_out=leave_out)
+        _check_name("leave_out", leave_out)
+        self._core = _core.Denoiser(
+            self.model,
+            memory_mb=_whole("memory_mb", memory_mb, "whole megabytes, 0 to have it chosen"),
+            tile=_whole("tile", tile, "whole pixels, 0 to have it planned"),
+            leave_out=leave_out,
+        )
 
     def run(
         self,
@@ -149,12 +158,13 @@ class Denoiser:
         }
         if exposure is not None and not isinstance(exposure, Real):
             raise _not_a(f"exposure is {_kind(exposure)}", "a number > 0, or None")
-        if not isinstance(samples_per_pixel, Integral):
-            raise _not_a(f"samples_per_pixel is {_kind(samples_per_pixel)}", "a whole number, 0 where it is not known")
+        count = _whole("samples_per_pixel", samples_per_pixel, "a whole number, 0 where it is not known")
+        if progress is not None and not callable(progress):
+            raise _not_a(f"progress is {_kind(progress)}", "a function that takes the fraction done, or None")
         images, report = self._core.run(
             arrays,
             layers=extra or None,
-            samples_per_pixel=int(samples_per_pixel),
+            samples_per_pixel=count,
             exposure=exposure,
             progress=None if progress is None else lambda done: progress(done) is not False,
         )
@@ -193,7 +203,10 @@ def denoise(
     if seconds is not None or memory_mb is not None:
         return _denoise_within(seconds, memory_mb, model, options, {"color": color, **buffers})
     if not isinstance(model, Denoiser):
-        model = _denoiser(models.find(model or models.DEFAULT).resolve(), **options)
+        for name in ("provider", "precision", "leave_out"):
+            _check_name(name, options[name])
+        options["threads"] = _whole("threads", threads, "a whole number, 0 for all cores")
+        model = _denoiser(models.find(models.DEFAULT if model is None else model).resolve(), **options)
     return model.run(color, **buffers).color
 
 
@@ -281,6 +294,20 @@ def _mapping(name: str, value: object, like: str) -> Mapping[str, Any]:
         if not isinstance(key, str):
             raise _not_a(f"{name} has the key {key!r}, {_kind(key)}", like)
     return value
+
+
+def _whole(name: str, value: object, like: str) -> int:
+    """`value` if it is a whole number of the SDK's 32 bits; a PathfoldError that says what to give, if not."""
+    if not isinstance(value, Integral):
+        raise _not_a(f"{name} is {_kind(value)}", like)
+    if not -(2**31) <= int(value) < 2**31:
+        raise _not_a(f"{name} is {value}", f"{like}, of 31 bits")
+    return int(value)
+
+
+def _check_name(name: str, value: object) -> None:
+    if not isinstance(value, str):
+        raise _not_a(f"{name} is {_kind(value)}", "its name as a str")
 
 
 def _not_a(given: str, like: str) -> PathfoldError:

@@ -468,6 +468,8 @@ Manifest Manifest::parse(const std::string &text) {
     root.at("precision").one_of({"fp32"});
     if (root.has("variants"))
         read_variants(root.at("variants"), manifest);
+    if (root.has("training") && !json.at("training").is_object())
+        root.at("training").wrong("an object");
     check_references(manifest);
     return manifest;
 }

@@ -84,6 +84,7 @@ TEST(Manifest, AnEmbeddingSeesSamplesAndIsReadAsWideAsItIs) {
 
 TEST(Manifest, ComplaintsNameTheKey) {
     expect_wrong("{", "not JSON");
+    expect_wrong(with("/training", 5), "training is 5", "an object");
     expect_wrong("[]", "one object");
     expect_wrong("{}", "format is missing");
     expect_wrong(with("/name", 3), "name is 3", "a string");

@@ -24,7 +24,7 @@ std::string read_file(const fs::path &path) {
     std::error_code error;
     const uintmax_t size = fs::file_size(path, error);
     if (error)
-        fail(PATHFOLD_INVALID_MODEL, "the model has no readable file ", path.string(), ": ", error.message());
+        fail(PATHFOLD_INVALID_MODEL, "has no readable file ", path.string(), ": ", error.message());
     if (size > max_file_bytes)
         fail(PATHFOLD_INVALID_MODEL, path.string(), " has ", size, " bytes; at most ", max_file_bytes,
              " are read");
@@ -152,7 +152,8 @@ std::string find_model(const std::string &name, const std::vector<std::string> &
          " (looked in ", list(places), "); give one of these, a model folder, or set PATHFOLD_MODEL_PATH");
 }
 
-Model::Model(const std::string &name, const std::string &provider, int threads, const std::string &precision)
+Model::Model(const std::string &name, const std::string &provider, int threads,
+             const std::string &precision) try
     : folder_(find_model(name, {})), provider_(provider),
       threads_(threads > 0 ? threads : std::max(1, int(std::thread::hardware_concurrency()))),
       manifest_(Manifest::parse(read_file(fs::path(folder_) / "manifest.json"))),
@@ -161,6 +162,10 @@ Model::Model(const std::string &name, const std::string &provider, int threads, 
     for (const auto &[key, graph] : manifest_.graphs)
         sessions_.emplace(key,
                           load_graph(folder_, own.count(key) > 0 ? own.at(key) : graph, provider_, threads_));
+} catch (const Error &error) {
+    if (error.status() != PATHFOLD_INVALID_MODEL)
+        throw;
+    fail(PATHFOLD_INVALID_MODEL, "the model ", name, ": ", error.what()); // one of several may be meant
 }
 
 } // namespace pathfold::core

@@ -81,7 +81,9 @@ TEST(Model, MissingFiles) {
     const SpoiltModel model("single-3");
     model.edit("color.onnx", "other.onnx");
     expect_refused(model, "other.onnx", "No such file");
-    expect_error(PATHFOLD_INVALID_MODEL, [] { Model(TEST_SCRATCH, "cpu", 1); }, "manifest.json");
+    expect_error(
+        PATHFOLD_INVALID_MODEL, [] { Model(TEST_SCRATCH, "cpu", 1); }, "the model " TEST_SCRATCH ": ",
+        "manifest.json");
 }
 
 TEST(Model, TruncatedGraphsWithAFittingHash) {

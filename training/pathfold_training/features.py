@@ -63,7 +63,7 @@ def branch_features(inputs: dict[str, Tensor], demodulate: bool) -> Tensor:
 
 
 def descriptor_logs(descriptor: Tensor, log_exposure: Tensor) -> Tensor:
-    """Path descriptors N x 36 x H x W (paper: notes 2.1), exposed and bounded; `log_exposure` [N] or [1].
+    """Path descriptors N x 36 x H x W (docs/architecture.md#buffers), exposed and bounded; `log_exposure` [N] or [1].
 
     Natural logs cross the API; exposure is an addition to the six radiance-like channels; a raw 0 stays at the floor.
     """

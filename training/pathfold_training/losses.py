@@ -21,7 +21,7 @@ def error_scale(reference: Tensor, noisy: bool = True) -> Tensor:
     """The radiance that errors are measured against: sqrt(r^2 + eps) of the exposed reference, B x 3 x H x W.
 
     r is the median of 3x3 pixels where the reference is noisy. Dividing by the pixel's own noisy reference would punish
-    just the pixels it underestimates (bias table in the design); dividing by a mean would excuse light that leaks
+    just the pixels it underestimates; dividing by a mean would excuse light that leaks
     from an emitter into the dark pixels beside it, which makes most of RelL2. Without noise r is the pixel's own, as
     in RelL2: a median would excuse what leaks onto a dark line one pixel wide.
     """
@@ -135,7 +135,7 @@ def manifold_loss(
     processes: int = 1,
     gather: Callable[[Tensor], Tensor] | None = None,
 ) -> Tensor:
-    """L_m, local plus non-local: mean of (|f_x - f_y|^2 - |tau_x - tau_y|^2)^2 (slides' formula, paper notes 5.1).
+    """L_m, local plus non-local: mean of (|f_x - f_y|^2 - |tau_x - tau_y|^2)^2 (the formula of the authors' slides).
 
     embedding N x C x H x W (all samples of B images, image after image), label B x 3 x H x W (tone-mapped reference;
     every sample of a pixel shares it), `pairs` drawn per image for each of the two terms. Local pairs join samples of

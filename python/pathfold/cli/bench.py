@@ -58,6 +58,8 @@ def bench(
         references=out / benching.REFERENCES,
     )
     names = [name.strip() for name in methods.split(",") if name.strip()] if methods else candidates.default_arguments()
+    if not names:
+        raise typer.BadParameter("names none; leave it away to measure all", param_hint="'--methods'")
     chosen = candidates.find_all(names)
     try:
         found = subjects.find_all(scenes, options)
@@ -69,8 +71,8 @@ def bench(
         with Report(quiet) as report:
             measurements, problems = benching.measure(found, chosen, out, pictures, report.tell)
     except KeyboardInterrupt:
-        console.complain(f"interrupted; what was measured is in {out / benching.RESULTS}: the same command goes on")
-        raise typer.Exit(console.INTERRUPTED) from None
+        said = f"interrupted; what was measured is in {out / benching.RESULTS}: the same command goes on"
+        raise console.StoppedError(said) from None
     if not measurements:
         raise InputError(f"nothing could be measured: {problems[0] if problems else 'there is no scene'}")
     command = shlex.join(["pathfold", *map(without_place, sys.argv[1:])])
@@ -123,7 +125,7 @@ def parse_numbers(text: str) -> tuple[int, ...]:
     except ValueError:
         numbers = [0]
     if numbers[0] < 1:
-        raise InputError(f"--spp {text}: write whole numbers above 0 with commas between them, for example 1,4,16")
+        raise typer.BadParameter(f"--spp {text}: write whole numbers above 0 with commas between them, say 1,4,16")
     return tuple(numbers)
 
 

@@ -1,7 +1,9 @@
 """What the commands share: talking to the terminal, progress, errors in one line and their exit codes."""
 
 import re
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -23,6 +25,30 @@ _CODES = {
 
 class InputError(RuntimeError):
     """An input that a command cannot use; the message names it and the cure."""
+
+
+class StoppedError(RuntimeError):
+    """Ctrl-C; the message says what there is and how to go on."""
+
+
+_interrupts: list[int] = []  # signals that came: Dr.Jit now and then drops the exception that stands for one
+
+
+@contextmanager
+def _noting_interrupts() -> Iterator[None]:
+    def note(number: int, _frame: Any) -> None:
+        _interrupts.append(number)
+        raise KeyboardInterrupt
+
+    _interrupts.clear()
+    if threading.current_thread() is not threading.main_thread():  # which alone gets signals
+        yield
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 # Names in files and models are anybody's: what would steer a terminal or turn its text around is shown by its code.
@@ -52,7 +78,7 @@ def exit_code(error: Exception) -> int | None:
     from pathfold.images import ImageError, OutputError
     from pathfold.rendering import SceneError
 
-    if isinstance(error, typer.Abort):
+    if isinstance(error, typer.Abort | StoppedError):
         return INTERRUPTED
     if hasattr(error, "format_message"):  # typer's own usage errors
         return USAGE
@@ -75,10 +101,11 @@ def run(app: typer.Typer, program: str = "pathfold", mendable: tuple[type[Except
     Besides those that `exit_code` knows these are the `mendable` ones, whose code is FAILED.
     """
     try:
-        return app(standalone_mode=False) or 0
-    except KeyboardInterrupt:
-        complain("interrupted; no file was left half written", program)
-        return INTERRUPTED
+        with _noting_interrupts():
+            code = app(standalone_mode=False) or 0
+        if code == INTERRUPTED:  # what typer makes of KeyboardInterrupt
+            complain("interrupted; no file was left half written", program)
+        return code
     except Exception as error:
         code = exit_code(error)
         if code is None and not isinstance(error, mendable):
@@ -102,10 +129,29 @@ def check_model(name: str | None) -> str | None:
 
 
 @contextmanager
+def usage() -> Iterator[None]:
+    """Around what is given options alone: those that the SDK refuses are wrong usage, not an input."""
+    from pathfold import PathfoldError
+
+    try:
+        yield
+    except PathfoldError as error:
+        if error.code != "invalid-argument":
+            raise
+        raise typer.BadParameter(str(error)) from error
+
+
+@contextmanager
 def progress(title: str, quiet: bool = False) -> Iterator[Callable[[float], None]]:
     """A bar on stderr that is told the fraction done; silent where stderr is no terminal."""
     terminal = Console(stderr=True)
     columns: tuple[Any, ...] = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
     with Progress(*columns, console=terminal, transient=True, disable=quiet or not terminal.is_terminal) as bar:
         task = bar.add_task(harmless(title), total=1.0)
-        yield lambda done: bar.update(task, completed=done)
+
+        def tell(done: float) -> None:
+            if _interrupts:
+                raise KeyboardInterrupt
+            bar.update(task, completed=done)
+
+        yield tell

@@ -80,10 +80,11 @@ def denoise(
         check_output(clean)
     options: dict[str, Any] = {"provider": provider, "threads": threads, "precision": precision, "leave_out": leave_out}
     denoiser: Denoiser | Budget
-    if seconds is None and memory is None:
-        denoiser = Denoiser(model or models.DEFAULT, **options)
-    else:
-        denoiser = Budget(seconds, memory, model, **options)
+    with console.usage():
+        if seconds is None and memory is None:
+            denoiser = Denoiser(model or models.DEFAULT, **options)
+        else:
+            denoiser = Budget(seconds, memory, model, **options)
     exposures = [] if exposure is None else [exposure]
     for number, (noisy, clean) in enumerate(pairs):
         title = noisy.name if len(pairs) == 1 else f"{noisy.name} ({number + 1}/{len(pairs)})"
@@ -124,7 +125,7 @@ def parse_map(entries: Sequence[str]) -> dict[str, str]:
     for entry in entries:
         buffer, equals, layer = entry.partition("=")
         if not equals or not buffer or not layer:
-            raise InputError(f"--map {entry}: write BUFFER=LAYER, for example albedo=MyAlbedo or normal=none")
+            raise typer.BadParameter(f"--map {entry}: write BUFFER=LAYER, for example albedo=MyAlbedo or normal=none")
         parsed[buffer] = layer
     return parsed
 

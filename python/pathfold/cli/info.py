@@ -40,7 +40,7 @@ def installation() -> Iterator[str]:
             yield f"{package} is not installed"
     yield "models:"
     for name, folder in models.available().items():
-        yield f"  {name:16} {folder}"
+        yield f"  {name:18} {folder}"
 
 
 def model(name: str) -> Iterator[str]:

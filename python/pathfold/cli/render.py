@@ -3,13 +3,14 @@
 import re
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from pathfold.cli import console
-from pathfold.cli.console import InputError
 from pathfold.cli.denoise import result_lines
+
+DEEPEST = 1 << 20  # scattering events, of either limit of a path's length: Dr.Jit's loops count in 32 bits
 
 
 def render(
@@ -18,8 +19,10 @@ def render(
     spp: Annotated[int, typer.Option(min=1, help="Samples per pixel.")] = 8,
     # The header's whole numbers have 31 bits.
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Equal seeds give equal pictures.")] = 0,
-    max_depth: Annotated[int, typer.Option(help="Longest path, in Mitsuba's meaning.")] = 8,
-    rr_depth: Annotated[int | None, typer.Option(help="Russian roulette from here on; default: none.")] = None,
+    max_depth: Annotated[int, typer.Option(min=-1, max=DEEPEST, help="Longest path, in Mitsuba's meaning.")] = 8,
+    rr_depth: Annotated[
+        int | None, typer.Option(min=1, max=DEEPEST, help="Russian roulette from here on; default: none.")
+    ] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Instead of the film's own size.")] = None,
     sensor: Annotated[int, typer.Option(min=0, help="Which of the scene's cameras.")] = 0,
     for_model: Annotated[
@@ -38,7 +41,7 @@ def render(
     exposure: Annotated[
         float | None, typer.Option(callback=console.check_exposure, help="With --denoise: as in `denoise`.")
     ] = None,
-    variant: Annotated[str, typer.Option(help="Mitsuba's variant.")] = "llvm_ad_rgb",
+    variant: Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], typer.Option(help="Mitsuba's variant.")] = "llvm_ad_rgb",
     quiet: Annotated[bool, typer.Option("-q", "--quiet", help="Print errors only.")] = False,
 ) -> None:
     """Trace a scene through its own camera and film, and write the buffers and samples that models read.
@@ -112,5 +115,5 @@ def parse_size(text: str | None) -> tuple[int, int] | None:
         return None
     found = re.fullmatch(r"(\d+)x(\d+)", text)
     if not found or not (int(found.group(1)) and int(found.group(2))):
-        raise InputError(f"--size {text}: write WIDTHxHEIGHT, for example 640x360")
+        raise typer.BadParameter(f"--size {text}: write WIDTHxHEIGHT, for example 640x360")
     return int(found.group(1)), int(found.group(2))

@@ -18,9 +18,7 @@ INPUT_MEAN = (
     [-0.21] * 3 + [-0.6] * 3 + [-0.28] * 18 + [0.33, 0.19, 0.16, 0.13, 0.12, 0.05, 0.74, 0.47, 0.39, 0.34, 0.31, 0.14]
 )
 INPUT_DEVIATION = [0.23] * 3 + [1.0] * 3 + [0.2] * 18 + [0.2] * 6 + [0.45] * 6
-RADIUS = (
-    40  # pixels: convolutions reach 30, pooling and upsampling add up to 9 (paper notes 3), rounded to the alignment
-)
+RADIUS = 40  # pixels: convolutions reach 30, pooling and upsampling add up to 9, rounded to the alignment
 
 
 def convolution(inputs: int, outputs: int, kernel: int) -> nn.Module:
@@ -115,7 +113,7 @@ def per_sample(x: Tensor, counts: list[int] | None = None) -> Tensor:
 def pixel_embedding(embedding: Tensor, valid: Tensor, counts: list[int] | None = None) -> Tensor:
     """The P-buffer R reads: mean over samples (C channels) and the variance of that mean, averaged over channels (1).
 
-    No gradient passes the variance (paper notes 3); it is 0 for fewer than two valid samples.
+    No gradient passes the variance, as in the paper; it is 0 for fewer than two valid samples.
     """
     mean = sample_mean(embedding, valid, counts)
     with torch.no_grad():
