@@ -77,7 +77,7 @@ tags: [monte-carlo-denoising, kernel-prediction]
 | seconds | {seconds[0]:.0f} wall, {seconds[1]:.0f} CPU, all parts of the run |
 | seed, commit | {training["seed"]}, {training["commit"]} |
 
-The commands that train it again are in docs/training.md; all results and known weaknesses in docs/results/.
+The commands that train it again are in docs/lineage.md; all results and known weaknesses in docs/results/.
 {errors}"""
 
 
