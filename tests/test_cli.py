@@ -313,6 +313,17 @@ def test_render_on_one_core(tmp_path: Path) -> None:
     assert (tmp_path / "out.exr").is_file()
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs processes that can be held to one core")
+def test_denoise_on_one_core_takes_one_thread(tiny: Path, tmp_path: Path) -> None:
+    beauty(tmp_path / "in.exr")
+    code = (
+        "import os, sys; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from pathfold.cli import app;"
+        "sys.argv = ['pathfold', 'denoise', 'in.exr', '-o', 'out.exr', '-m', 'single-3', '--quiet']; app()"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
 def test_a_variant_without_its_driver_is_named(run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mi = pytest.importorskip("mitsuba")
 

@@ -43,7 +43,8 @@ class Denoiser:
 
     `model` is a name (`pathfold.models.available()`), a folder, or the `model` of another Denoiser, which they then
     share (with its `provider`, `threads` and `precision`). `provider` names the onnxruntime execution
-    provider ("cpu", "cuda", ...); one that is not there is an error, never replaced. `threads` 0 means all cores.
+    provider ("cpu", "cuda", ...); one that is not there is an error, never replaced. `threads` 0 means all cores that
+    the process may use.
     `precision` of the networks: "fp32", "int8" where the model has it, or "auto", the faster one (int8 where the model
     has it, on CPUs that multiply bytes: VNNI, ARM's dot product); what ran is `report["precision"]`.
     `memory_mb` bounds the working memory of a tile (0: chosen), `tile` forces the tile's side in pixels (0: planned).

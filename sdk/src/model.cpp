@@ -5,9 +5,9 @@
 #include <filesystem>
 #include <fstream>
 #include <sstream>
-#include <thread>
 
 #include <dlfcn.h>
+#include <oneapi/tbb/info.h>
 
 #include "error.h"
 #include "onnx_check.h"
@@ -155,7 +155,7 @@ std::string find_model(const std::string &name, const std::vector<std::string> &
 Model::Model(const std::string &name, const std::string &provider, int threads,
              const std::string &precision) try
     : folder_(find_model(name, {})), provider_(provider),
-      threads_(threads > 0 ? threads : std::max(1, int(std::thread::hardware_concurrency()))),
+      threads_(threads > 0 ? threads : oneapi::tbb::info::default_concurrency()),
       manifest_(Manifest::parse(read_file(fs::path(folder_) / "manifest.json"))),
       precision_(choose_precision(precision, manifest_, provider_)) {
     const Variant own = precision_ == "fp32" ? Variant() : manifest_.variants.at(precision_);
