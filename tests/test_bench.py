@@ -347,7 +347,7 @@ def test_what_fails_is_told_and_the_rest_goes_on(run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["--spp", "1,x"], 3, "--spp 1,x: write whole numbers"),
+        (["--spp", "1,x"], 2, "--spp 1,x: write whole numbers"),
         (["--methods", "nonsense"], 4, "besides models there are"),
     ],
 )
