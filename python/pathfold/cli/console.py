@@ -41,10 +41,12 @@ def _noting_interrupts() -> Iterator[None]:
         raise KeyboardInterrupt
 
     _interrupts.clear()
-    if threading.current_thread() is not threading.main_thread():  # which alone gets signals
+    before = signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()  # which alone gets signals
+    if not main or before is not signal.default_int_handler:  # a job in a shell's background is to ignore it
         yield
         return
-    before = signal.signal(signal.SIGINT, note)
+    signal.signal(signal.SIGINT, note)
     try:
         yield
     finally:
