@@ -68,9 +68,8 @@ def classes(buffers: Buffers) -> dict[str, NDArray[np.bool_]]:
         {"direct": events <= 1, "several events": (events > 1) & ~caustic, "caustic": (events > 1) & caustic}
     )
     color = smooth(buffers["color"].astype(np.float64).mean(-1), 5)
-    deviation = np.sqrt(smooth(buffers["variance"].astype(np.float64).mean(-1), 5)) / (
-        color + 1e-3 * color.mean() + 1e-30
-    )
+    variance = np.maximum(smooth(buffers["variance"].astype(np.float64).mean(-1), 5), 0)  # running sums round below 0
+    deviation = np.sqrt(variance) / (color + 1e-3 * color.mean() + 1e-30)
     quartile = np.digitize(deviation, np.quantile(deviation, [0.25, 0.5, 0.75]))
     share = smooth(buffers["diffuse"].astype(np.float64).mean(-1), 5) / np.maximum(color, 1e-30)
     masks = {f"first event {name}": mask for name, mask in first.items()}
