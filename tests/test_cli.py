@@ -251,11 +251,14 @@ def test_an_interrupt_is_noticed_even_where_a_library_drops_it(run, monkeypatch:
             tell(0.5)
             pytest.fail("went on")
 
-    before = signal.getsignal(signal.SIGINT)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # pytest's workers ignore it
     monkeypatch.setattr(sys.modules["pathfold.cli.info"], "installation", dropped)
-    code, _, err = run("info")
+    try:
+        code, _, err = run("info")
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert (code, err) == (console.INTERRUPTED, "pathfold: interrupted; no file was left half written\n")
-    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_render(run, tmp_path: Path) -> None:
