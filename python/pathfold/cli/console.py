@@ -104,16 +104,18 @@ def run(app: typer.Typer, program: str = "pathfold", mendable: tuple[type[Except
     """
     try:
         with _noting_interrupts():
-            code = app(standalone_mode=False) or 0
-        if code == INTERRUPTED:  # what typer makes of KeyboardInterrupt
-            complain("interrupted; no file was left half written", program)
-        return code
+            code = app(standalone_mode=False) or 0  # typer makes INTERRUPTED of most interrupts
+    except KeyboardInterrupt:
+        code = INTERRUPTED
     except Exception as error:
-        code = exit_code(error)
-        if code is None and not isinstance(error, mendable):
+        known = exit_code(error)
+        if known is None and not isinstance(error, mendable):
             raise
         complain(error, program)
-        return FAILED if code is None else code
+        return FAILED if known is None else known
+    if code == INTERRUPTED:
+        complain("interrupted; no file was left half written", program)
+    return code
 
 
 def check_exposure(value: float | None) -> float | None:
