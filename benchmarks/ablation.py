@@ -6,8 +6,7 @@ DATA is a data set of `pathfold-train render`; as it is at the first start it is
 row of VARIANTS is trained on it with one thread and scored on the held-out views at 2, 8 and 32 spp: RelL2 over the
 noisy input's, geometric mean in which each scene counts alike. `all` is the mean of the spp; `/ baseline` compares runs
 of equal seeds; `deviation` is that of `all` over seeds, what a difference has to exceed. Every run is printed when it
-is done (to stderr) and kept, with all its settings, in WORK/results.jsonl; the same command goes on where it was
-stopped, and prints a Markdown table at its end.
+is done (to stderr) and kept, with all its settings; the same command goes on where it was stopped.
 
 The pathfold family filters color as a whole. "diffuse and specular each" (two sets of kernels, the diffuse part divided
 by its own albedo) and "one 11x11 kernel" (41 kMAC per pixel where pathfold-fast's pyramid takes 37) are networks of
@@ -28,8 +27,10 @@ from statistics import fmean, stdev
 from typing import Any
 from unittest import mock
 
+import pages
 import torch
 import torch.nn.functional as functional
+from pathfold.report.summary import markdown
 from pathfold_training import store, task
 from pathfold_training.config import Config, Pyramid, load_preset
 from pathfold_training.data import Stored, View
@@ -197,29 +198,50 @@ def measure(
         spps = [spp for spp in SPPS if spp <= min(view.samples for view in views)]
         logs = {str(spp): score(network, views, spp, variant.paths) for spp in spps}
     state = torch.load(checkpoint, map_location="cpu", weights_only=True)
-    return {"logs": logs, "parameters": sum(p.numel() for p in network.parameters()), **training_seconds(state)}
+    return {
+        "views": len(views),
+        "commit": commit(),
+        "logs": logs,
+        "parameters": sum(p.numel() for p in network.parameters()),
+        **training_seconds(state),
+    }
 
 
-def table(results: Sequence[dict[str, Any]], spps: Sequence[int]) -> str:
-    """Markdown: a row per variant that has a result, in their order."""
-    titles = [f"{spp} spp" for spp in spps]
-    lines = ["| variant | seeds | " + " | ".join(titles) + " | all | / baseline | deviation | CPU s |"]
-    lines.append("|---|---|" + "---|" * (len(spps) + 4))
-    totals = {(r["title"], r["seed"]): fmean(r["logs"].values()) for r in results}
+def tables(rows: Sequence[pages.Row]) -> str:
+    """A line per variant that has a result, in their order."""
+    spps = sorted(rows[0]["logs"], key=int)
+    head = ["variant", "seeds", *(f"{spp} spp" for spp in spps), "all", f"/ {BASELINE}", "deviation", "CPU s"]
+    table = [head]
+    totals = {(r["title"], r["seed"]): fmean(r["logs"].values()) for r in rows}
     for variant in VARIANTS:
-        rows = [r for r in results if r["title"] == variant.title]
-        if not rows:
+        own = [r for r in rows if r["title"] == variant.title]
+        if not own:
             continue
-        own = [totals[r["title"], r["seed"]] for r in rows]
+        logs = [totals[r["title"], r["seed"]] for r in own]
         against = [
-            o - totals[BASELINE, r["seed"]] for o, r in zip(own, rows, strict=True) if (BASELINE, r["seed"]) in totals
+            log - totals[BASELINE, r["seed"]]
+            for log, r in zip(logs, own, strict=True)
+            if (BASELINE, r["seed"]) in totals
         ]
-        means = [math.exp(fmean(r["logs"][str(spp)] for r in rows)) for spp in spps]
-        cells = [variant.title, str(len(rows)), *(f"{mean:.4f}" for mean in means), f"{math.exp(fmean(own)):.4f}"]
+        means = [math.exp(fmean(r["logs"][spp] for r in own)) for spp in spps]
+        cells = [variant.title, str(len(own)), *(f"{mean:.4f}" for mean in means), f"{math.exp(fmean(logs)):.4f}"]
         cells.append(f"{math.exp(fmean(against)):.3f}" if against else "")
-        cells.append(f"{100 * stdev(own):.1f} %" if len(own) > 1 else "")
-        lines.append("| " + " | ".join([*cells, f"{fmean(r['cpu_seconds'] for r in rows):.0f}"]) + " |")
-    return "\n".join(lines)
+        cells.append(f"{100 * stdev(logs):.1f} %" if len(logs) > 1 else "")
+        table.append([*cells, f"{fmean(r['cpu_seconds'] for r in own):.0f}"])
+    first = rows[0]
+    lead = (
+        f"{first['config']['name']}, {first['config']['optimiser']['steps']} steps; {first['views']} held-out windows"
+    )
+    return f"{lead}:\n\n{markdown(table)}"
+
+
+PAGE = pages.Page(
+    "ablation",
+    "What each part of the pathfold family is worth",
+    "A preset trained at one modest budget with one thing changed at a time, scored on held-out windows: RelL2 over "
+    "the noisy input's, geometric mean in which each scene counts alike.",
+    tables,
+)
 
 
 def main() -> None:
@@ -230,6 +252,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--seeds", type=int, default=3, help="of the rows that need more than one")
     parser.add_argument("--only", nargs="+", choices=sorted({v.run for v in VARIANTS}), help="runs to make")
+    parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
     options = parser.parse_args()
     preset = load_preset(options.preset)
     if not isinstance(preset.network, Pyramid):
@@ -238,9 +261,7 @@ def main() -> None:
     preset = changed(preset, {"optimiser": {"steps": options.steps, "warmup": max(1, warmup)}})
     part = partial(subset, options.data)
     views = Stored(part(options.work / "data-100", 1.0)).held_out()
-    kept = options.work / "results.jsonl"
-    results = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    shown = []
+    findings = pages.Findings(PAGE, options.output, [])
     for variant in VARIANTS:
         if options.only and variant.run not in options.only:
             continue
@@ -250,18 +271,10 @@ def main() -> None:
         folder = part(options.work / f"data-{100 * variant.scenes:.0f}", variant.scenes)
         for seed in range(options.seeds if variant.all_seeds else 1):
             key = {"title": variant.title, "seed": seed, "config": json.loads(config.model_dump_json())}
-            found = next((r for r in results if all(r[name] == value for name, value in key.items())), None)
-            if found is None:
-                run = options.work / f"{config.name}-{options.steps}" / f"{name}-{seed}"
-                found = key | measure(variant, config, seed, folder, run, views) | {"commit": commit()}
-                with kept.open("a") as file:
-                    file.write(json.dumps(found) + "\n")
-            shown.append(found)
+            run = options.work / f"{config.name}-{options.steps}" / f"{name}-{seed}"
+            found = findings.row(key, partial(measure, variant, config, seed, folder, run, views))
             print(f"{variant.title}, seed {seed}: {found['logs']}", file=sys.stderr, flush=True)
-    spps = [spp for spp in SPPS if str(spp) in shown[0]["logs"]]
-    scenes = len({view.scene for view in views})
-    print(f"{preset.name}, {options.steps} steps; {len(views)} held-out windows of {scenes} scenes\n")
-    print(table(shown, spps))
+    findings.finish()
 
 
 if __name__ == "__main__":

@@ -1,17 +1,23 @@
 """How well a pathfold network cleans the albedo: python benchmarks/albedo.py runs/balanced/last.ckpt data [--spp 8]
 
 Of held-out views, by how noisy the albedo is: the squared relative error of the pixel mean as it came and as the
-network makes it, against the view's other samples, whose own noise is taken off. Markdown to the terminal.
+network makes it, against the view's other samples, whose own noise is taken off.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
+from functools import partial
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pages
 import torch
 from numpy.typing import NDArray
+from pathfold.report.summary import markdown
 from pathfold_training.data import Stored, ValidationViews, View
 from pathfold_training.losses import RELATIVE_EPSILON
 from pathfold_training.networks.pathfold import ALBEDO_EPSILON, Pathfold
@@ -37,11 +43,40 @@ def errors(task: Denoising, view: View, spp: int) -> tuple[NDArray[np.int64], ND
     return np.digitize(spread, BOUNDS), squared.mean(1)
 
 
+def measure(task: Denoising, views: Sequence[View], spp: int) -> Mapping[str, Any]:
+    """By class: its share of pixels, and the mean errors of the albedo as it came and as it was cleaned."""
+    found = [errors(task, view, spp) for view in views]
+    kinds = np.concatenate([kind.ravel() for kind, _ in found])
+    squared = np.concatenate([error.reshape(2, -1) for _, error in found], 1)
+    each = [[float((kinds == k).mean()), *squared[:, kinds == k].mean(1).tolist()] for k in range(len(CLASSES))]
+    return {"views": len(views), "classes": dict(zip(CLASSES, each, strict=True))}
+
+
+def tables(rows: Sequence[pages.Row]) -> str:
+    parts = []
+    for row in rows:
+        table = [["deviation of the albedo", "pixels", "error as it came", "cleaned"]]
+        for name, (share, came, cleaned) in row["classes"].items():
+            table.append([name, f"{share:.1%}", f"{came:.5f}", f"{cleaned:.5f}"])
+        parts.append(f"{row['views']} held-out views, {row['spp']} spp:\n\n{markdown(table)}")
+    return "\n".join(parts)
+
+
+PAGE = pages.Page(
+    "albedo",
+    "How clean the albedo gets",
+    "Mean squared relative error of the albedo that a pathfold network divides radiance by, on held-out views, by the "
+    "standard deviation of the pixel's mean over its albedo.",
+    tables,
+)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("data", type=Path)
     parser.add_argument("--spp", type=int, default=8)
+    parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
     options = parser.parse_args()
     torch.set_num_threads(1)
     task = load(options.checkpoint)
@@ -50,15 +85,10 @@ def main() -> None:
     views = [view for view in Stored(options.data).held_out() if view.samples >= 2 * options.spp]
     if not views:
         raise SystemExit(f"{options.data}: no held-out view has {2 * options.spp} samples; lower --spp")
-    found = [errors(task, view, options.spp) for view in views]
-    kinds = np.concatenate([kind.ravel() for kind, _ in found])
-    squared = np.concatenate([error.reshape(2, -1) for _, error in found], 1)
-    print(f"{len(views)} held-out views, {options.spp} spp\n")
-    print("| deviation of the albedo | pixels | error as it came | cleaned |\n|---|---|---|---|")
-    for kind, name in enumerate(CLASSES):
-        here = kinds == kind
-        came, cleaned = squared[:, here].mean(1)
-        print(f"| {name} | {here.mean():.1%} | {came:.5f} | {cleaned:.5f} |")
+    findings = pages.Findings(PAGE, options.output, [])
+    checkpoint = sha256(options.checkpoint.read_bytes()).hexdigest()[:12]
+    findings.row({"spp": options.spp, "checkpoint": checkpoint}, partial(measure, task, views, options.spp))
+    findings.finish()
 
 
 if __name__ == "__main__":

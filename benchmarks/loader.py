@@ -1,6 +1,6 @@
 """How many batches a second the loader makes, over how many the training step takes: below 1 it would starve.
 
-    python benchmarks/loader.py [PRESET ...] [--data DIR] [--batches 10] [--json]
+    python benchmarks/loader.py [PRESET ...] [--data DIR] [--batches 10]
 
 Without --data it writes a data set of noise into a temporary folder, 8 views of 128 x 128 pixels at 16 spp: what a
 loader does depends on sizes alone. Batches and steps are timed in turns and medians compared, so that a busy machine
@@ -10,16 +10,18 @@ slows both alike; one thread, as in docs/training.md. The file system's cache is
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pages
 import torch
+from pathfold.report.summary import markdown
 from pathfold_training import store
 from pathfold_training.config import Config, load_preset
 from pathfold_training.data import Batch, Crops, Stored
@@ -82,25 +84,37 @@ def measure(config: Config, data: Path, batches: int) -> dict[str, float]:
     return {"batch": float(loading), "step": float(training), "ratio": float(training / loading), "MB/s": float(rate)}
 
 
+def tables(rows: Sequence[pages.Row]) -> str:
+    table = [["preset", "a batch, ms", "MB/s", "a step, ms", "batches a step"]]
+    for row in rows:
+        cells = [f"{1e3 * row['batch']:.0f}", f"{row['MB/s']:.0f}", f"{1e3 * row['step']:.0f}", f"{row['ratio']:.1f}"]
+        table.append([row["preset"], *cells])
+    return markdown(table)
+
+
+PAGE = pages.Page(
+    "loader",
+    "Whether training waits for its data",
+    "Time that the loader takes for a batch and training for a step on it, by turns on one thread, medians.",
+    tables,
+)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("presets", nargs="*", default=["kpcn-vanilla", "kpcn-manifold"])
     parser.add_argument("--data", type=Path, help="data set made by 'pathfold-train render'")
     parser.add_argument("--batches", type=int, default=10)
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
     options = parser.parse_args()
     torch.set_num_threads(1)
+    findings = pages.Findings(PAGE, options.output, [])
     with tempfile.TemporaryDirectory() as folder:
         data = options.data or write_noise(Path(folder))
-        results = {name: measure(load_preset(name), data, options.batches) for name in options.presets}
-    if options.json:
-        print(json.dumps(results, indent=2))
-        return
-    for name, found in results.items():
-        print(
-            f"{name}: a batch in {1e3 * found['batch']:.0f} ms ({found['MB/s']:.0f} MB/s), "
-            f"a step in {1e3 * found['step']:.0f} ms: {found['ratio']:.1f} batches a step"
-        )
+        for name in options.presets:
+            key = {"preset": name, "data": options.data and options.data.name, "batches": options.batches}
+            findings.row(key, partial(measure, load_preset(name), data, options.batches))
+    findings.finish()
 
 
 if __name__ == "__main__":

@@ -5,17 +5,23 @@
 Every method is loaded and run once in a fresh process that holds its inputs already (all per-pixel buffers that it
 reads; with paths, descriptors of `--samples` samples per pixel too). `above inputs` is the most memory that was
 resident at a time less what was before it was loaded, the output included; `total` the whole process, interpreter and
-inputs too. torch is in none of them. Of several runs the median counts. Prints a Markdown table. Linux only.
+inputs too. torch is in none of them. Of several runs the median counts. Linux only.
 """
 
 import argparse
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
-from pathfold import memory, models
+import pages
+from pathfold import memory
 from pathfold.channels import BUFFERS
 from pathfold.report import candidates, cold
 from pathfold.report.candidates import PEERS
+from pathfold.report.summary import markdown
 
 MEBIBYTE = 2**20
 DESCRIPTOR = 36
@@ -35,12 +41,39 @@ def frame(width: int, height: int, samples: int) -> dict[str, np.ndarray]:
     return made
 
 
-def row(candidate: candidates.Candidate, buffers: dict[str, np.ndarray], runs: int) -> tuple[float, float, float]:
-    """MB of what the method reads, above it, and in total."""
+def measure(candidate: candidates.Candidate, buffers: Mapping[str, np.ndarray], runs: int) -> dict[str, Any]:
+    """MB of what the method reads, above it, and in total; or what became of its process."""
     inputs = sum(buffers[name].nbytes for name in candidate.reads & buffers.keys()) / MEBIBYTE
-    taken = [cold.first_frame(candidate, buffers) for _ in range(runs)]
-    above, total = (median(run[name] for run in taken) for name in ("mb", "total_mb"))
-    return inputs, above, total
+    try:
+        taken = [cold.first_frame(candidate, buffers) for _ in range(runs)]
+    except cold.ColdError as error:  # too large for this machine, say: the others still count
+        return {"error": str(error)}
+    return {
+        "inputs": inputs,
+        "above": median(run["mb"] for run in taken),
+        "total": median(r["total_mb"] for r in taken),
+    }
+
+
+def tables(rows: Sequence[pages.Row]) -> str:
+    high = rows[0]  # OIDN comes first
+    table = [["method", "reads", "inputs", "above inputs", "OIDN high = 1", "total", "OIDN high = 1"]]
+    for row in rows:
+        cells = [row["error"], "", "", "", ""]
+        if "error" not in row:
+            cells = [f"{row['inputs']:.0f}"]
+            cells += [text for n in ("above", "total") for text in (f"{row[n]:.0f}", f"{row[n] / high[n]:.2f}")]
+        table.append([row["method"], row["reads"], *cells])
+    return f"{high['size']}, MB, peak of {high['runs']} run(s):\n\n{markdown(table)}"
+
+
+PAGE = pages.Page(
+    "memory",
+    "Peak memory",
+    "One made-up frame, denoised in a fresh process for each method: the most memory that it held above its inputs, "
+    "and in all. A run differs from the next by some 5 %.",
+    tables,
+)
 
 
 def main() -> None:
@@ -49,37 +82,24 @@ def main() -> None:
     parser.add_argument("--model", nargs="+", help="names or folders; default: the pathfold family's that are shipped")
     parser.add_argument("--samples", type=int, default=2, help="per pixel, for models that read paths; 0: none")
     parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
     options = parser.parse_args()
     if not memory.can_be_watched():
         raise SystemExit("this system does not say what a process held at most: run it on Linux")
     width, height = map(int, options.size.split("x"))
-    shipped = [name for name in models.available(models.shipped_directories()) if name.startswith("pathfold")]
-    methods = candidates.find_all([*PEERS, *(options.model or shipped)])
+    methods = candidates.find_all([*PEERS, *(options.model or pages.family())])
     buffers = frame(width, height, options.samples)
     pixels = {name: values for name, values in buffers.items() if not name.startswith("samples.")}
-    print(f"{width}x{height}, MB, peak of {options.runs} run(s) in a fresh process each\n")
-    print("| method | reads | inputs | above inputs | OIDN high = 1 | total | OIDN high = 1 |")
-    print("|---|---|---|---|---|---|---|", flush=True)
-    high: tuple[float, float] | None = None
+    findings = pages.Findings(PAGE, options.output, methods)
     for candidate in methods:
         cases = {"pixels": pixels}
         if candidate.reads_paths and options.samples:
             cases[f"pixels and paths, {options.samples} spp"] = buffers
         for reads, given in cases.items():
-            try:
-                inputs, above, total = row(candidate, given, options.runs)
-            except cold.ColdError as error:  # too large for this machine, say: the others still count
-                print(f"| {candidate.name} | {reads} | {error} | | | | |", flush=True)
-                continue
-            high = high or (above, total)  # `oidn` comes first
-            cells = [
-                f"{inputs:.0f}",
-                f"{above:.0f}",
-                f"{above / high[0]:.2f}",
-                f"{total:.0f}",
-                f"{total / high[1]:.2f}",
-            ]
-            print(f"| {candidate.name} | {reads} | " + " | ".join(cells) + " |", flush=True)
+            key = {"method": candidate.name, "identity": candidate.identity, "reads": reads}
+            key |= {"size": options.size, "runs": options.runs}
+            findings.row(key, partial(measure, candidate, given, options.runs))
+    findings.finish()
 
 
 if __name__ == "__main__":

@@ -1,32 +1,35 @@
 """What path descriptors gain a model, scene by scene, and where in the picture.
 
-    python benchmarks/paths_gain.py SCENES... -o FOLDER [--model pathfold-balanced --spp 2 8 32 --seeds 3]
+    python benchmarks/paths_gain.py SCENES... [--model pathfold-balanced --spp 2 8 32 --seeds 3]
 
 SCENES as `pathfold bench` takes them; of a sequence the first frame counts. Every frame is denoised twice by the same
-model, with its samples and without them, from the same buffers. Markdown tables: RelL2 and FLIP of both and their
-ratios (geometric means over seeds, then scenes; below 1 the paths help), and the ratio of RelL2 by class of pixel:
+model, with its samples and without them, from the same buffers. RelL2 and FLIP of both and their ratios are
+told (geometric means over seeds, then scenes; below 1 the paths help), and the ratio of RelL2 by class of pixel:
 
 - `first event`, of most samples: diffuse, glossy, delta (mirror, glass), or none (a light or the sky is seen).
 - `light`: after one event (direct), several, or a caustic, where a sharp event follows a diffuse one; of most samples.
 - `diffuse share` of the input's radiance, and the input's `deviation` relative to its mean, quartiles of the frame;
   both of 5x5 pixels.
 
-FOLDER/results.jsonl keeps each frame, so the same command goes on where it was stopped. FOLDER/SCENE-8spp.jpg shows the
-first seed: with paths, without, the reference, and the difference of their RelL2 in 7x7 pixels, blue where paths are
-better, red where worse, in full colour from the difference on that its title states.
+Each frame is kept when it is done, so the same command goes on where it was stopped. out/paths_gain/SCENE-8spp.jpg
+shows the first seed: with paths, without, the reference, and the difference of their RelL2 in 7x7 pixels, blue where
+paths are better, red where worse, in full colour from the difference on that its title states. The one of the scene
+that gains most, at the lowest spp, goes beside the page.
 """
 
 import argparse
 import gc
-import json
 import math
+import shutil
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import numpy as np
+import pages
 from numpy.typing import NDArray
 from pathfold import metrics
 from pathfold.images import replacing
@@ -34,6 +37,7 @@ from pathfold.models import ALL_SAMPLES
 from pathfold.report import candidates, peers, subjects
 from pathfold.report.reference import Reference
 from pathfold.report.results import geometric
+from pathfold.report.summary import markdown
 from scipy.ndimage import uniform_filter
 
 Plane = NDArray[np.float64]
@@ -148,26 +152,27 @@ def ratio(rows: Sequence[dict[str, Any]], metric: str) -> float:
     return geometric(r["with"][metric] for r in rows) / geometric(r["without"][metric] for r in rows)
 
 
-def scene_table(rows: Sequence[dict[str, Any]], spp: int) -> str:
-    """Errors of all scenes at one spp; a win is a ratio below 1."""
-    lines = ["| scene | RelL2 with | without | ratio | FLIP with | without | ratio |", "|---|---|---|---|---|---|---|"]
-    ratios: dict[str, list[float]] = {"rell2": [], "flip": []}
+def scene_table(rows: Sequence[pages.Row], metric: str, title: str) -> str:
+    """Errors with paths, and over those without: a line per scene, two columns per spp."""
+    spps = sorted({row["spp"] for row in rows})
+    table = [["scene", *(text for spp in spps for text in (f"{title} with, {spp} spp", "/ without"))]]
+    found: dict[int, list[float]] = {spp: [] for spp in spps}
     for scene in dict.fromkeys(r["scene"] for r in rows):
-        here = [r for r in rows if (r["scene"], r["spp"]) == (scene, spp)]
         cells = [scene]
-        for metric, of_scenes in ratios.items():
+        for spp, of_scenes in found.items():
+            here = [r for r in rows if (r["scene"], r["spp"]) == (scene, spp)]
             of_scenes.append(ratio(here, metric))
-            cells += [f"{geometric(r[way][metric] for r in here):.4f}" for way in ("with", "without")]
-            cells.append(f"{of_scenes[-1]:.3f}")
-        lines.append("| " + " | ".join(cells) + " |")
-    ends = [f"{geometric(each):.3f}, wins {sum(r < 1 for r in each)} of {len(each)}" for each in ratios.values()]
-    return "\n".join([*lines, f"| **geometric mean** | | | {ends[0]} | | | {ends[1]} |"])
+            cells += [f"{geometric(r['with'][metric] for r in here):.4f}", f"{of_scenes[-1]:.3f}"]
+        table.append(cells)
+    means = [text for each in found.values() for text in ("", f"{geometric(each):.3f}")]
+    wins = [text for each in found.values() for text in ("", f"{sum(r < 1 for r in each)} of {len(each)}")]
+    return markdown([*table, ["geometric mean", *means], ["smaller with paths", *wins]])
 
 
-def class_table(rows: Sequence[dict[str, Any]], spps: Sequence[int]) -> str:
+def class_table(rows: Sequence[pages.Row]) -> str:
     """By class: its share of pixels and of the squared error without paths, and the geometric mean ratio per spp."""
-    lines = ["| pixels | share of pixels | of RelL2 without | scenes | " + " | ".join(f"{n} spp" for n in spps) + " |"]
-    lines.append("|---|---|---|---|" + "---|" * len(spps))
+    spps = sorted({row["spp"] for row in rows})
+    table = [["pixels", "share of pixels", "of RelL2 without", "scenes", *(f"{spp} spp" for spp in spps)]]
     whole = [r["classes"] for r in rows]
     pixels = sum(entry[0] for classes in whole for entry in classes.values()) / 4  # every pixel is in four classes
     for name in whole[0]:
@@ -185,8 +190,8 @@ def class_table(rows: Sequence[dict[str, Any]], spps: Sequence[int]) -> str:
                     counted.add(scene)
             cells.append(f"{math.exp(fmean(logs)):.3f}" if logs else "")
         share = sum(entry[0] for entry in entries) / pixels
-        lines.append(f"| {name} | {share:.1%} | {fmean(weights):.1%} | {len(counted)} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        table.append([name, f"{share:.1%}", f"{fmean(weights):.1%}", str(len(counted)), *cells])
+    return markdown(table)
 
 
 def share_of_error(entries: dict[str, list[float]], name: str) -> float:
@@ -195,51 +200,69 @@ def share_of_error(entries: dict[str, list[float]], name: str) -> float:
     return entries[name][2] / total if total > 0 else 0.0
 
 
+def picture(rows: Sequence[pages.Row]) -> str:
+    """The name of the picture that the page shows: of the scene that gains most, at the lowest spp."""
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    best = min(scenes, key=lambda scene: ratio([row for row in rows if row["scene"] == scene], "rell2"))
+    return f"{best}-{min(row['spp'] for row in rows)}spp.jpg"
+
+
+def tables(rows: Sequence[pages.Row]) -> str:
+    lead = f"{rows[0]['model']}, {len({row['seed'] for row in rows})} seeds; below 1 paths help."
+    parts = [lead, scene_table(rows, "rell2", "RelL2"), scene_table(rows, "flip", "FLIP")]
+    parts += ["RelL2 with paths over without, by class of pixels:", class_table(rows)]
+    shown = picture(rows)
+    parts.append(f"![{shown}: with paths, without, the reference, and the difference]({PAGE.name}/{shown})")
+    return "\n\n".join(part.strip() for part in parts)
+
+
+PAGE = pages.Page(
+    "paths_gain",
+    "With paths and without",
+    "A model denoises each frame with its path descriptors and without them, from the same buffers; geometric means "
+    "over render seeds, then scenes.",
+    tables,
+)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=Path, nargs="+")
-    parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--model", default="pathfold-balanced", help="name or folder")
     parser.add_argument("--spp", type=int, nargs="+", default=[2, 8, 32])
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
     options = parser.parse_args()
     peers.keep_torch_out()
     model = candidates.find(options.model)
     if not model.reads_paths:
         raise SystemExit(f"{model.name} reads no paths; name a model that does")
     run = model.load()
-    settings = subjects.Options(tuple(options.spp), options.seeds, references=options.output / "references")
-    options.output.mkdir(parents=True, exist_ok=True)
-    kept = options.output / "results.jsonl"
-    done = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
-    rows = []
+    settings = subjects.Options(tuple(options.spp), options.seeds, references=Path("out/references"))
+    pictures = Path("out") / PAGE.name
+    pictures.mkdir(parents=True, exist_ok=True)
+    findings = pages.Findings(PAGE, options.output, [model])
+
+    def compared(subject: subjects.Subject, reference: Reference, spp: int, seed: int) -> dict[str, Any]:
+        shot = subject.shoot(0, spp, seed, [ALL_SAMPLES], reference.size, False)
+        if "samples.descriptor" not in shot.buffers:
+            raise SystemExit(f"{subject.name} has no samples: paths cannot be compared; render it with them")
+        print(f"{subject.name}, {spp} spp, seed {seed}", file=sys.stderr, flush=True)
+        return measure(
+            shot.buffers, spp, reference, run, pictures / f"{subject.name}-{spp}spp.jpg" if not seed else None
+        )
+
     for subject in subjects.find_all(options.scenes, settings):
         reference = subject.reference(0, lambda part: None)
         for spp, seed in subject.units():
             key: dict[str, Any] = {"scene": subject.name, "spp": spp, "seed": seed, "model": model.name}
             key |= {"inputs": subject.fingerprint(), "identity": model.identity}
-            row = next((old for old in done if all(old[name] == value for name, value in key.items())), None)
-            if row is None:
-                shot = subject.shoot(0, spp, seed, [ALL_SAMPLES], reference.size, False)
-                if "samples.descriptor" not in shot.buffers:
-                    raise SystemExit(f"{subject.name} has no samples: paths cannot be compared; render it with them")
-                picture = options.output / f"{subject.name}-{spp}spp.jpg" if seed == 0 else None
-                row = key | measure(shot.buffers, spp, reference, run, picture)
-                with kept.open("a") as file:
-                    file.write(json.dumps(row) + "\n")
-                print(
-                    f"{subject.name}, {spp} spp, seed {seed}: {row['with']['rell2']:.5f}", file=sys.stderr, flush=True
-                )
-            rows.append(row)
+            findings.row(key, partial(compared, subject, reference, spp, seed))
         gc.collect()  # one scene at a time
-    spps = sorted({row["spp"] for row in rows})
-    print(f"{model.name}, {options.seeds} seeds")
-    for spp in spps:
-        print(f"\n{spp} spp:\n\n{scene_table(rows, spp)}")
-    print(f"\nRelL2 with paths over without, by class of pixels:\n\n{class_table(rows, spps)}")
-    scenes = dict.fromkeys(row["scene"] for row in rows)
-    best = min(scenes, key=lambda scene: ratio([row for row in rows if row["scene"] == scene], "rell2"))
-    print(f"\nMost is gained in {best}: see {best}-*spp.jpg in {options.output.name}.")
+    findings.finish()
+    if (pictures / picture(findings.rows)).exists():
+        (options.output / PAGE.name).mkdir(exist_ok=True)
+        shutil.copy(pictures / picture(findings.rows), options.output / PAGE.name)
 
 
 if __name__ == "__main__":

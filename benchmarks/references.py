@@ -8,16 +8,21 @@ none has seen, whose references had `--clean` core-seconds: RelL2 relative to th
 mean. WORK keeps data sets and checkpoints; the same command goes on where it was stopped.
 """
 
-import argparse
 import json
 import math
 import resource
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from statistics import fmean, median, stdev
+from typing import Any
 
+import pages
+from pathfold.report.summary import markdown
 from pathfold_training import store
-from pathfold_training.config import load_preset
-from pathfold_training.data import Stored
+from pathfold_training.config import Config, load_preset
+from pathfold_training.data import Stored, View
 from pathfold_training.fit import fit
 from pathfold_training.render import render
 from pathfold_training.score import load, score
@@ -44,8 +49,46 @@ def render_for(seconds: float, folder: Path, budget: float) -> None:
         done.write_text(json.dumps(spent))
 
 
+def measure(budget: float, loss: str, preset: Config, held_out: Sequence[View], options: Namespace) -> dict[str, Any]:
+    """What a budget made, and the scores of the networks trained on it with a loss: logs, one per seed."""
+    data = options.work / f"budget-{budget:g}"
+    render_for(60 * options.core_minutes, data, budget)
+    views = store.read_index(data)
+    optimiser = preset.optimiser.model_copy(update={"steps": options.steps})
+    chosen = preset.loss.model_copy(update={"image": loss})
+    config = preset.model_copy(update={"loss": chosen, "optimiser": optimiser})
+    scores = []
+    for seed in range(options.seeds):
+        run = options.work / "runs" / f"{budget:g}-{loss}-{seed}"
+        scores.append(score(load(fit(config, data, run, seed, 1, validate_every=10**6)), held_out))
+    facts = {name: median(view[name] for view in views) for name in ("reference_spp", "reference_rell2")}
+    return {"views": len(views), **facts, "scores": scores}
+
+
+def tables(rows: Sequence[pages.Row]) -> str:
+    head = ["core-seconds a reference", "views", "median reference spp", "their median RelL2", "loss", "error / noisy"]
+    table = [[*head, "deviation over seeds"]]
+    for row in rows:
+        spread = stdev(row["scores"]) if len(row["scores"]) > 1 else 0.0
+        cells = [f"{row['budget']:g}", str(row["views"]), f"{row['reference_spp']:.0f}"]
+        cells += [f"{row['reference_rell2']:.1e}", row["loss"], f"{math.exp(fmean(row['scores'])):.4f}"]
+        table.append([*cells, f"{100 * spread:.1f} %"])
+    asked = rows[0]["asked"]
+    lead = f"{asked['preset']}, {asked['steps']} steps, {asked['seeds']} seeds, {asked['core_minutes']:g} core-minutes"
+    return f"{lead} for each budget:\n\n{markdown(table)}"
+
+
+PAGE = pages.Page(
+    "references",
+    "Many cheap references, or few clean ones",
+    "One network, trained on as many views as fit into the same core time with references of unlike budgets; RelL2 "
+    "over the noisy input's at 8 spp on views that none has seen, geometric mean.",
+    tables,
+)
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("--budgets", type=float, nargs="+", default=[0.5, 4, 16])
     parser.add_argument("--core-minutes", type=float, default=6)
@@ -54,32 +97,19 @@ def main() -> None:
     parser.add_argument("--preset", default="pathfold-fast")
     parser.add_argument("--held-out", type=int, default=16, help="views to score on")
     parser.add_argument("--clean", type=float, default=30, help="core-seconds of their references")
-    arguments = parser.parse_args()
-    clean = arguments.work / "held-out"
-    render(clean, procedural=arguments.held_out, budget=arguments.clean, seed=HELD_OUT_SEED, held_out=0.0)
-    preset = load_preset(arguments.preset)
+    parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
+    options = parser.parse_args()
+    clean = options.work / "held-out"
+    render(clean, procedural=options.held_out, budget=options.clean, seed=HELD_OUT_SEED, held_out=0.0)
+    preset = load_preset(options.preset)
     held_out = Stored(clean).train
-    print(
-        "| budget | views | median reference spp | their median RelL2 | loss | error / noisy | deviation over seeds |"
-    )
-    print("|---|---|---|---|---|---|---|", flush=True)
-    for budget in arguments.budgets:
-        data = arguments.work / f"budget-{budget:g}"
-        render_for(60 * arguments.core_minutes, data, budget)
-        views = store.read_index(data)
-        facts = f"{budget:g} | {len(views)} | {median(v['reference_spp'] for v in views):.0f}"
-        facts += f" | {median(v['reference_rell2'] for v in views):.1e}"
+    findings = pages.Findings(PAGE, options.output, [])
+    asked = {name: getattr(options, name) for name in ("preset", "steps", "seeds", "core_minutes", "held_out", "clean")}
+    for budget in options.budgets:
         for loss in ("robust", "unbiased"):
-            options = preset.optimiser.model_copy(update={"steps": arguments.steps})
-            config = preset.model_copy(
-                update={"loss": preset.loss.model_copy(update={"image": loss}), "optimiser": options}
-            )
-            scores = []
-            for seed in range(arguments.seeds):
-                run = arguments.work / "runs" / f"{budget:g}-{loss}-{seed}"
-                scores.append(score(load(fit(config, data, run, seed, 1, validate_every=10**6)), held_out))
-            spread = stdev(scores) if len(scores) > 1 else 0.0
-            print(f"| {facts} | {loss} | {math.exp(fmean(scores)):.4f} | {100 * spread:.1f} % |", flush=True)
+            key = {"budget": budget, "loss": loss, "asked": asked}
+            findings.row(key, partial(measure, budget, loss, preset, held_out, options))
+    findings.finish()
 
 
 if __name__ == "__main__":

@@ -1,28 +1,34 @@
 """What the pathfold networks cost: every size with random weights in the SDK against OIDN high, in one process.
 
-    python benchmarks/sizes.py [--width 960 --height 540 --runs 5]
+    python benchmarks/sizes.py [--width 960 --height 540 --runs 5 --samples 0]
 
-Prints a Markdown table: medians of interleaved runs after a warm-up, as ratios to OIDN high with noisy guides.
+Medians of interleaved runs after a warm-up, as ratios to OIDN high with noisy guides.
 """
 
 import argparse
 import json
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
+import pages
 import torch
 from pathfold import Denoiser
 from pathfold.report.peers import oidn
+from pathfold.report.summary import markdown
 from pathfold_training.config import load_preset
 from pathfold_training.export import macs_per_pixel, write_pyramid
 from pathfold_training.networks.pathfold import Pathfold
 from pathfold_training.task import Denoising
 
 SIZES = ("fast", "balanced", "high")
+PEER, PEER_COST = "OIDN high", 125  # kMAC per pixel of its network
+STAGES = ("network", "embedding", "reconstruct")
 
 
 def write_model(name: str, folder: Path) -> Pathfold:
@@ -50,48 +56,70 @@ def buffers(height: int, width: int, samples: int) -> dict[str, np.ndarray]:
     return {name: image.astype(np.float32) for name, image in images.items()}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--width", type=int, default=960)
-    parser.add_argument("--height", type=int, default=540)
-    parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--samples", type=int, default=0, help="path descriptors per pixel")
-    options = parser.parse_args()
-    images = buffers(options.height, options.width, options.samples)
+def measure(width: int, height: int, samples: int, runs: int) -> dict[str, Any]:
+    """By method: kMAC per pixel, median milliseconds, and of ours the share of each stage in the last run."""
+    images = buffers(height, width, samples)
     parts: dict[str, dict[str, float]] = {}
+    costs: dict[str, float] = {}
 
     def run_model(name: str, denoiser: Denoiser) -> None:
         parts[name] = denoiser.run_buffers(images, exposure=1.0).report["ms"]
 
     with tempfile.TemporaryDirectory() as scratch:
         methods: dict[str, Callable[[], object]] = {}
-        costs = {}
         for size in SIZES:
             name = f"pathfold-{size}"
-            costs[name] = macs_per_pixel(write_model(name, Path(scratch) / name), options.samples) / 1e3
+            costs[name] = macs_per_pixel(write_model(name, Path(scratch) / name), samples) / 1e3
             denoiser = Denoiser(Path(scratch) / name)
             methods[name] = lambda name=name, denoiser=denoiser: run_model(name, denoiser)
-        methods["OIDN high"] = lambda: oidn(images["color"], images["albedo"], images["normal"])
+        methods[PEER] = lambda: oidn(images["color"], images["albedo"], images["normal"])
         times: dict[str, list[float]] = {name: [] for name in methods}
-        for turn in range(options.runs + 1):
+        for turn in range(runs + 1):
             for name, method in methods.items():
                 start = time.perf_counter()
                 method()
                 if turn > 0:
                     times[name].append(1e3 * (time.perf_counter() - start))
-    reference = median(times["OIDN high"])
-    print(f"{options.width}x{options.height}, {options.samples} samples per pixel, {options.runs} runs\n")
-    print("| model | kMAC per pixel | ms | OIDN high = 1 | network | embedding | reconstruction | the rest |")
-    print("|---|---|---|---|---|---|---|---|")
-    for name, taken in times.items():
-        row = f"| {name} | {costs[name]:.0f} |" if name in costs else f"| {name} | 125 |"
-        row += f" {median(taken):.0f} | {median(taken) / reference:.2f} |"
-        shares = parts.get(name)
-        if shares:
-            total = shares["total"]
-            named = [shares[stage] / total for stage in ("network", "embedding", "reconstruct")]
-            row += "".join(f" {share:.0%} |" for share in (*named, 1 - sum(named)))
-        print(row if shares else row + " | | | |")
+    shares = {name: {stage: ms[stage] / ms["total"] for stage in STAGES} for name, ms in parts.items()}
+    kmac = costs | {PEER: PEER_COST}
+    return {"kmac": kmac, "ms": {name: median(taken) for name, taken in times.items()}, "shares": shares}
+
+
+def tables(rows: Sequence[pages.Row]) -> str:
+    parts = []
+    for row in rows:
+        parts.append(f"{row['size']}, {row['samples']} samples with paths per pixel, medians of {row['runs']} runs:")
+        table = [["model", "kMAC per pixel", "ms", f"{PEER} = 1", "network", "embedding", "reconstruction", "the rest"]]
+        for name, ms in row["ms"].items():
+            shares = [row["shares"][name][stage] for stage in STAGES] if name in row["shares"] else []
+            cells = [f"{share:.0%}" for share in (*shares, 1 - sum(shares))] if shares else [""] * 4
+            table.append([name, f"{row['kmac'][name]:.0f}", f"{ms:.0f}", f"{ms / row['ms'][PEER]:.2f}", *cells])
+        parts.append(markdown(table))
+    return "\n\n".join(part.strip() for part in parts)
+
+
+PAGE = pages.Page(
+    "sizes",
+    "What the pathfold networks cost",
+    "Networks with random weights in fp32 against OIDN high, color, albedo, normal, depth and variance given; runs by "
+    "turns in one process. Of times on a busy machine the ratios tell most.",
+    tables,
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--width", type=int, default=960)
+    parser.add_argument("--height", type=int, default=540)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--samples", type=int, nargs="+", default=[0], help="path descriptors per pixel")
+    parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
+    options = parser.parse_args()
+    findings = pages.Findings(PAGE, options.output, [])
+    for samples in options.samples:
+        key = {"size": f"{options.width}x{options.height}", "samples": samples, "runs": options.runs}
+        findings.row(key, partial(measure, options.width, options.height, samples, options.runs))
+    findings.finish()
 
 
 if __name__ == "__main__":

@@ -1,26 +1,34 @@
 """CPU time of pathfold's tracer, all outputs and host conversion included, over Mitsuba's own path integrator.
 
-    python benchmarks/tracer.py [SCENE.xml ...] [--spp 8] [--size 256] [--rounds 9] [--json]
+    python benchmarks/tracer.py [SCENE.xml ...] [--spp 8] [--size 256] [--rounds 9]
 
-Without a scene it takes Mitsuba's Cornell box and the furnished room that is built below. Renders are interleaved,
-so that a busy machine slows both alike; the medians of process time are compared. Goal: a ratio of at most 1.3.
+Of Mitsuba's Cornell box, of the furnished room that is built below, and of scenes that are named. Renders are
+interleaved, so that a busy machine slows both alike; the medians of process time are compared.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pages
+from pathfold.report.summary import markdown
 
 MAX_DEPTH = 6
-GOAL = 1.3
+COLUMNS = {
+    "trace": "paths of all samples",
+    "plain": "of none",
+    "two": "of two",
+    "frozen": "of two, frozen",
+    "mean": "means only",
+}
 
 
 def furnished_room(size: int) -> Any:
@@ -87,11 +95,11 @@ def cpu_seconds(run: Callable[[], Any]) -> float:
     return time.process_time() - start
 
 
-def measure(scene: Any, spp: int, rounds: int) -> dict[str, float]:
+def measure(build: Callable[[], Any], spp: int, rounds: int) -> dict[str, float]:
     """Return medians in CPU seconds: path; trace, with no sample's paths, with two samples', frozen too; trace_mean."""
     from pathfold.mitsuba import Frozen, trace, trace_mean
 
-    launch = Frozen()
+    scene, launch = build(), Frozen()
     path = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": 1000})
     runs: dict[str, Callable[[int], Any]] = {
         "path": lambda seed: np.array(mi.render(scene, integrator=path, spp=spp, seed=seed)),
@@ -110,32 +118,44 @@ def measure(scene: Any, spp: int, rounds: int) -> dict[str, float]:
     return {name: float(np.median(values)) for name, values in times.items()}
 
 
+def tables(rows: Sequence[pages.Row]) -> str:
+    table = [["scene", "path, CPU s", *COLUMNS.values()]]
+    for row in rows:
+        table.append([row["scene"], f"{row['path']:.3f}", *(f"{row[name] / row['path']:.2f}" for name in COLUMNS)])
+    settings = f"{rows[0]['spp']} spp, {rows[0]['size']}x{rows[0]['size']}, medians of {rows[0]['rounds']} rounds"
+    return f"Times of `trace` over those of `path`; {settings}:\n\n{markdown(table)}"
+
+
+PAGE = pages.Page(
+    "tracer",
+    "Path tracer against Mitsuba's `path`",
+    "CPU time of pathfold's tracer over that of Mitsuba's own integrator, every output and its conversion to host "
+    "arrays included; renders by turns. A frozen launch does not trace the Python code again.",
+    tables,
+)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", type=Path)
     parser.add_argument("--spp", type=int, default=8)
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
     options = parser.parse_args()
     mi.set_variant("llvm_ad_rgb")
+    size = options.size
     builders: dict[str, Callable[[], Any]] = {
-        str(path): lambda path=path: mi.load_file(str(path), resx=options.size, resy=options.size)  # type: ignore[misc]
-        for path in options.scenes
+        "Cornell box": partial(cornell_box, size),
+        "furnished room": partial(furnished_room, size),
     }
-    builders = builders or {
-        "cornell box": lambda: cornell_box(options.size),
-        "furnished room": lambda: furnished_room(options.size),
-    }
-    results = {}
+    for path in options.scenes:
+        builders[path.absolute().parent.name] = partial(mi.load_file, str(path), resx=size, resy=size)
+    findings = pages.Findings(PAGE, options.output, [])
     for name, build in builders.items():
-        results[name] = seconds = measure(build(), options.spp, options.rounds)
-        if not options.json:
-            ratios = "  ".join(f"{key} {seconds[key] / seconds['path']:.2f}" for key in seconds if key != "path")
-            verdict = "within" if seconds["trace"] <= GOAL * seconds["path"] else "over"
-            print(f"{name}: path {seconds['path']:.3f} s, ratios: {ratios} ({verdict} the goal of {GOAL})")
-    if options.json:
-        print(json.dumps(results, indent=2))
+        key = {"scene": name, "spp": options.spp, "size": size, "rounds": options.rounds}
+        findings.row(key, partial(measure, build, options.spp, options.rounds))
+    findings.finish()
 
 
 if __name__ == "__main__":

@@ -89,11 +89,12 @@ def test_a_misspelt_field_of_a_variant_is_an_error() -> None:
 
 def test_rows_are_compared_seed_by_seed() -> None:
     def result(title: str, seed: int, log: float) -> dict:
-        return {"title": title, "seed": seed, "logs": {"2": log, "8": log}, "cpu_seconds": 1.0}
+        return {"title": title, "seed": seed, "logs": {"2": log, "8": log}, "cpu_seconds": 1.0} | about
 
     robust = next(v.title for v in ablation.VARIANTS if v.run == "robust")
+    about = {"config": {"name": "tiny", "optimiser": {"steps": 2}}, "views": 1}
     rows = [result("baseline", 0, -1.0), result("baseline", 1, -3.0), result(robust, 0, -1.5)]
-    last = ablation.table(rows, (2, 8)).splitlines()[-1]
+    last = ablation.tables(rows).splitlines()[-1]
     assert f" {math.exp(-0.5):.3f} |" in last
 
 
@@ -144,6 +145,7 @@ def test_gain_is_of_errors_summed_over_seeds() -> None:
         }
 
     rows = [row("x", 0, 1.0, 2.0), row("x", 1, 3.0, 6.0), row("y", 0, 8.0, 4.0)]
-    assert "1.000, wins 1 of 2" in paths_gain.scene_table(rows, 8)
-    assert "0.500, wins 2 of 2" in paths_gain.scene_table(rows, 8)
-    assert paths_gain.class_table(rows, [8]).splitlines()[-1] == "| d | 100.0% | 100.0% | 2 | 1.000 |"
+    for metric, mean, wins in (("rell2", "1.000", "1 of 2"), ("flip", "0.500", "2 of 2")):
+        *_, means, won = paths_gain.scene_table(rows, metric, metric).splitlines()
+        assert means == f"| geometric mean |  | {mean} |" and won == f"| smaller with paths |  | {wins} |"
+    assert paths_gain.class_table(rows).splitlines()[-1] == "| d | 100.0% | 100.0% | 2 | 1.000 |"
