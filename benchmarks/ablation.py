@@ -31,10 +31,13 @@ import pages
 import torch
 import torch.nn.functional as functional
 from pathfold.report.summary import markdown
-from pathfold_training import store, task
-from pathfold_training.config import Config, Pyramid, load_preset
-from pathfold_training.data import Stored, View
-from pathfold_training.fit import commit, fit, training_seconds
+from pathfold_training.dataset import store
+from pathfold_training.files import write_whole
+from pathfold_training.fit import task
+from pathfold_training.fit.checkpoint import commit, training_seconds
+from pathfold_training.fit.preset import Config, load_preset
+from pathfold_training.fit.train import fit
+from pathfold_training.fit.views import Stored, Window
 from pathfold_training.networks import pathfold
 from pathfold_training.networks.pathfold import (
     ALBEDO_EPSILON,
@@ -47,7 +50,8 @@ from pathfold_training.networks.pathfold import (
     reconstruct,
 )
 from pathfold_training.networks.reconstruct import bounded_exp, normalised, weigh_taps
-from pathfold_training.score import load, score
+from pathfold_training.networks.sizes import PathfoldSizes
+from pathfold_training.release.score import load, score
 from torch import Tensor, nn
 
 SPPS = (2, 8, 32)
@@ -58,7 +62,7 @@ TAPS = [(dy, dx) for dy in range(SIDE) for dx in range(SIDE)]
 class SingleKernel(Pathfold):
     """The same trunk and trust, but one 11x11 kernel per pixel instead of the pyramid."""
 
-    def __init__(self, network: Pyramid) -> None:
+    def __init__(self, network: PathfoldSizes) -> None:
         super().__init__(network)
         self.heads = nn.ModuleList([empty_head(network.widths[0], 4 * SIDE * SIDE)])
 
@@ -85,7 +89,7 @@ class SingleKernel(Pathfold):
 class SplitKernels(Pathfold):
     """Diffuse and specular filtered by kernels of their own, from one trunk that sees the diffuse part too."""
 
-    def __init__(self, network: Pyramid) -> None:
+    def __init__(self, network: PathfoldSizes) -> None:
         super().__init__(network)
         self.diffuse = nn.Conv2d(4 * 3, network.widths[0], 3, padding=1, bias=False)  # beside self.first
         self.heads = nn.ModuleList(empty_head(head.in_channels, 2 * head.out_channels) for head in self.heads)
@@ -183,12 +187,12 @@ def subset(data: Path, folder: Path, share: float) -> Path:
         for kind in store.KINDS:
             if not (folder / kind).is_symlink():
                 (folder / kind).symlink_to((data / kind).resolve(), target_is_directory=True)
-        store.write_whole(folder / "index.jsonl", "".join(json.dumps(line) + "\n" for line in kept).encode())
+        write_whole(folder / "index.jsonl", "".join(json.dumps(line) + "\n" for line in kept).encode())
     return folder
 
 
 def measure(
-    variant: Variant, config: Config, seed: int, data: Path, run: Path, views: Sequence[View]
+    variant: Variant, config: Config, seed: int, data: Path, run: Path, views: Sequence[Window]
 ) -> dict[str, Any]:
     """Train, or go on, and score: what a line of results.jsonl says beside its key."""
     unlike = variant.network is not Pathfold
@@ -255,7 +259,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
     options = parser.parse_args()
     preset = load_preset(options.preset)
-    if not isinstance(preset.network, Pyramid):
+    if not isinstance(preset.network, PathfoldSizes):
         raise SystemExit(f"{options.preset} is not of the pathfold family")
     warmup = min(preset.optimiser.warmup, options.steps // 10)
     preset = changed(preset, {"optimiser": {"steps": options.steps, "warmup": max(1, warmup)}})

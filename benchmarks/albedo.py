@@ -18,17 +18,17 @@ import pages
 import torch
 from numpy.typing import NDArray
 from pathfold.report.summary import markdown
-from pathfold_training.data import Stored, ValidationViews, View
-from pathfold_training.losses import RELATIVE_EPSILON
+from pathfold_training.fit.task import Denoising
+from pathfold_training.fit.views import Stored, ValidationViews, Window
+from pathfold_training.networks.losses import RELATIVE_EPSILON
 from pathfold_training.networks.pathfold import ALBEDO_EPSILON, Pathfold
-from pathfold_training.score import load
-from pathfold_training.task import Denoising
+from pathfold_training.release.score import load
 
 BOUNDS = (0.005, 0.03, 0.1)  # between classes: standard deviation of the pixel's mean albedo over the albedo
 CLASSES = ("below 0.005", "to 0.03", "to 0.1", "above")
 
 
-def errors(task: Denoising, view: View, spp: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def errors(task: Denoising, view: Window, spp: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Each pixel's class, H x W, and the errors of its noisy and cleaned albedo, 2 x H x W."""
     batch = ValidationViews([view], task.config.network.path_samples, spp)[0]
     with torch.no_grad():
@@ -43,7 +43,7 @@ def errors(task: Denoising, view: View, spp: int) -> tuple[NDArray[np.int64], ND
     return np.digitize(spread, BOUNDS), squared.mean(1)
 
 
-def measure(task: Denoising, views: Sequence[View], spp: int) -> Mapping[str, Any]:
+def measure(task: Denoising, views: Sequence[Window], spp: int) -> Mapping[str, Any]:
     """By class: its share of pixels, and the mean errors of the albedo as it came and as it was cleaned."""
     found = [errors(task, view, spp) for view in views]
     kinds = np.concatenate([kind.ravel() for kind, _ in found])

@@ -22,9 +22,9 @@ from pathfold import models
 from pathfold.report import candidates
 from pathfold.report.results import geometric
 from pathfold.report.summary import markdown
-from pathfold_training.data import Stored, ValidationViews
-from pathfold_training.needs import VIEWS
-from pathfold_training.quantise import CROPS, FILE, Feeds, network_feeds, quantised_copy, ratios, trained_as
+from pathfold_training.fit.views import Stored, ValidationViews
+from pathfold_training.release.quantise import CROPS, FILE, Feeds, network_feeds, quantised_copy, ratios, trained_as
+from pathfold_training.release.without_paths import VIEWS
 
 
 def seconds(path: Path, feeds: Feeds, runs: int) -> float:

@@ -22,10 +22,12 @@ import numpy as np
 import pages
 import torch
 from pathfold.report.summary import markdown
-from pathfold_training import store
-from pathfold_training.config import Config, load_preset
-from pathfold_training.data import Batch, Crops, Stored
-from pathfold_training.task import Denoising
+from pathfold_training.dataset import store
+from pathfold_training.fit.crops import Crops
+from pathfold_training.fit.preset import Config, load_preset
+from pathfold_training.fit.task import Denoising
+from pathfold_training.fit.views import Stored
+from pathfold_training.networks.batch import Batch
 
 SIDE, SPP = 128, 16
 

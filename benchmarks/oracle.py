@@ -17,8 +17,8 @@ import numpy as np
 import pages
 import torch
 from pathfold.report.summary import markdown
-from pathfold_training.data import Stored, View
-from pathfold_training.losses import error_scale, robust_relative
+from pathfold_training.fit.views import Stored, Window
+from pathfold_training.networks.losses import error_scale, robust_relative
 from pathfold_training.networks.pathfold import ALBEDO_EPSILON
 from pathfold_training.networks.reconstruct import COARSEST_LOGITS, LEVEL_LOGITS, gather, gather_pyramid
 from torch import Tensor
@@ -27,7 +27,7 @@ SEEDS, SPP = 8, 4
 Operator = Callable[[Tensor], Tensor]
 
 
-def noisy_crop(view: View, size: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
+def noisy_crop(view: Window, size: int, seed: int) -> tuple[Tensor, Tensor, Tensor]:
     """Exposed radiance of SEEDS renders, their albedos, and the reference: 8 x 3 x h x w, and 1 x 3 x h x w."""
     rng = np.random.default_rng(seed)
     samples, reference = view.crop(*view.corner(size, rng), size, np.arange(SEEDS * SPP), 0)

@@ -20,12 +20,12 @@ from typing import Any
 
 import pages
 from pathfold.report.summary import markdown
-from pathfold_training import store
-from pathfold_training.config import Config, load_preset
-from pathfold_training.data import Stored, View
-from pathfold_training.fit import fit
-from pathfold_training.render import render
-from pathfold_training.score import load, score
+from pathfold_training.dataset import store
+from pathfold_training.dataset.render import render
+from pathfold_training.fit.preset import Config, load_preset
+from pathfold_training.fit.train import fit
+from pathfold_training.fit.views import Stored, Window
+from pathfold_training.release.score import load, score
 
 ROUND = 8  # views between two looks at the clock
 HELD_OUT_SEED = 1000
@@ -49,7 +49,7 @@ def render_for(seconds: float, folder: Path, budget: float) -> None:
         done.write_text(json.dumps(spent))
 
 
-def measure(budget: float, loss: str, preset: Config, held_out: Sequence[View], options: Namespace) -> dict[str, Any]:
+def measure(budget: float, loss: str, preset: Config, held_out: Sequence[Window], options: Namespace) -> dict[str, Any]:
     """What a budget made, and the scores of the networks trained on it with a loss: logs, one per seed."""
     data = options.work / f"budget-{budget:g}"
     render_for(60 * options.core_minutes, data, budget)

@@ -21,10 +21,10 @@ import torch
 from pathfold import Denoiser
 from pathfold.report.peers import oidn
 from pathfold.report.summary import markdown
-from pathfold_training.config import load_preset
-from pathfold_training.export import macs_per_pixel, write_pyramid
+from pathfold_training.fit.preset import load_preset
+from pathfold_training.fit.task import Denoising
 from pathfold_training.networks.pathfold import Pathfold
-from pathfold_training.task import Denoising
+from pathfold_training.release.export import macs_per_pixel, write_pyramid
 
 SIZES = ("fast", "balanced", "high")
 PEER, PEER_COST = "OIDN high", 125  # kMAC per pixel of its network

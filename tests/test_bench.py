@@ -371,7 +371,7 @@ def dies(*_: object) -> None:
 
 def test_evaluate_goes_the_same_way(tmp_path: Path, tiny: Path) -> None:
     pytest.importorskip("mitsuba")
-    evaluate = pytest.importorskip("pathfold_training.evaluate")
+    evaluate = pytest.importorskip("pathfold_training.release.evaluate")
     folder = tmp_path / "scenes" / "tiny"
     shutil.copytree(TINY, folder)
     truth = np.full((27, 48, 3), 0.5, np.float32)

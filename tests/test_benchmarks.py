@@ -10,10 +10,10 @@ import pytest
 import torch
 from pathfold.models import ALL_SAMPLES
 from pathfold.report.reference import Reference
-from pathfold_training.config import Data, Optimiser, load_preset
-from pathfold_training.data import ValidationViews, View
-from pathfold_training.score import scene_mean
-from pathfold_training.store import Store
+from pathfold_training.dataset.store import Store
+from pathfold_training.fit.preset import Data, Optimiser, load_preset
+from pathfold_training.fit.views import ValidationViews, Window
+from pathfold_training.release.score import scene_mean
 from training_data import write_data_set
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
@@ -77,7 +77,7 @@ def test_every_network_trains_and_keeps_a_constant(run: str, tmp_path: Path) -> 
     torch.testing.assert_close(image, constant["radiance"])
 
 
-def views_inputs(view: View) -> dict[str, torch.Tensor]:
+def views_inputs(view: Window) -> dict[str, torch.Tensor]:
     inputs = ValidationViews([view], ALL_SAMPLES, 2)[0].inputs
     return inputs | {"radiance": inputs["color"]}
 

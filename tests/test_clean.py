@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import numpy as np
-from pathfold_training.clean import cleaned
-from pathfold_training.config import Data
-from pathfold_training.data import Crops, Stored
+from pathfold_training.dataset.clean import cleaned
+from pathfold_training.fit.crops import Crops
+from pathfold_training.fit.preset import Data
+from pathfold_training.fit.views import Stored
 from training_data import write_data_set
 
 SIDE = 64

@@ -12,19 +12,20 @@ from typing import Any
 import pytest
 import torch
 import torch.distributed.nn
-from pathfold_training.losses import manifold_loss
+from pathfold_training.networks.losses import manifold_loss
 from training_data import write_data_set
 
 PROGRAM = """
 import sys
 from pathlib import Path
-from pathfold_training.config import Config, Data, Loss, Network, Optimiser
-from pathfold_training.fit import fit
+from pathfold_training.fit.preset import Config, Data, Loss, Optimiser
+from pathfold_training.fit.train import fit
+from pathfold_training.networks.sizes import KpcnSizes
 
 config = Config(
     name="tiny",
     description="a network for tests",
-    network=Network(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4),
+    network=KpcnSizes(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4),
     loss=Loss(manifold=20.0, manifold_pairs=256),
     data=Data(crop=24, batch=4, spp_max=4),
     optimiser=Optimiser(steps=8, precision="fp32", warmup=1, learning_rate=2e-3),

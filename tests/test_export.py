@@ -18,15 +18,16 @@ from pathfold.check.references import References
 from pathfold.check.run import case_row
 from pathfold.denoising import Denoiser
 from pathfold.report.measure import Measurement
-from pathfold_training.card import write_card
-from pathfold_training.config import Config, Data, Network, Optimiser
-from pathfold_training.data import Batch
-from pathfold_training.export import export, input_shape, load_task
-from pathfold_training.features import DEMODULATION_EPSILON, OPTIONAL
-from pathfold_training.fit import fit
+from pathfold_training.fit.preset import Config, Data, Optimiser
+from pathfold_training.fit.task import Denoising
+from pathfold_training.fit.train import fit
+from pathfold_training.networks.batch import Batch
+from pathfold_training.networks.features import DEMODULATION_EPSILON, OPTIONAL
 from pathfold_training.networks.kpcn import BRANCHES
 from pathfold_training.networks.reconstruct import gather
-from pathfold_training.task import Denoising
+from pathfold_training.networks.sizes import KpcnSizes
+from pathfold_training.release.card import write_card
+from pathfold_training.release.export import export, input_shape, load_task
 from training_data import write_data_set
 
 NAMES = ("color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth")
@@ -37,7 +38,7 @@ def config(embedding: int) -> Config:
     return Config(
         name=f"tiny-{embedding}",
         description="a network for tests",
-        network=Network(width=8, layers=4, kernel_size=7, embedding=embedding, embedding_width=4),
+        network=KpcnSizes(width=8, layers=4, kernel_size=7, embedding=embedding, embedding_width=4),
         data=Data(crop=24, batch=2, spp_max=4),
         optimiser=Optimiser(steps=2, precision="fp32"),
     )

@@ -7,11 +7,12 @@ import pytest
 
 pytest.importorskip("mitsuba")
 
-from pathfold_training import live
 from pathfold_training.cli import app
-from pathfold_training.config import Config, Data, Network, Optimiser
-from pathfold_training.fit import fit
-from pathfold_training.live import Live, LiveViews
+from pathfold_training.fit import live
+from pathfold_training.fit.live import Live, LiveViews
+from pathfold_training.fit.preset import Config, Data, Optimiser
+from pathfold_training.fit.train import fit
+from pathfold_training.networks.sizes import KpcnSizes
 from typer.testing import CliRunner
 
 SMALL = Live(budget=0.0, size=24, spp=4, every=2)
@@ -30,7 +31,7 @@ def test_training_renders_what_it_learns_from(tmp_path: Path) -> None:
     config = Config(
         name="tiny",
         description="a network for tests",
-        network=Network(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4),
+        network=KpcnSizes(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4),
         data=Data(crop=16, batch=2, spp_max=4),
         optimiser=Optimiser(steps=5, precision="fp32", warmup=1),
     )

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pathfold_training.config import Data
-from pathfold_training.data import PATH_NAMES, Crops, Stored, View
-from pathfold_training.magnify import Magnifier, turns, window
+from pathfold_training.fit.crops import Crops
+from pathfold_training.fit.frames import PATH_NAMES
+from pathfold_training.fit.magnify import Magnifier, turns, window
+from pathfold_training.fit.preset import Data
+from pathfold_training.fit.views import Stored, Window
 from training_data import SIDE, view_tensors, write_data_set
 
 
@@ -75,7 +77,7 @@ def test_batches_of_magnified_crops_look_like_others(tmp_path: Path, paths: int)
     assert len(batch.counts) == 2 and all(1 <= count <= (paths or settings.spp_max) for count in batch.counts)
 
 
-def view_of_many_samples(noisy: bool) -> View:
+def view_of_many_samples(noisy: bool) -> Window:
     """64 samples of each pixel, 16 of them described; without noise each is the reference."""
     tensors = {n: np.concatenate([v] * 8, 1) if n.startswith("samples.") else v for n, v in view_tensors(0).items()}
     if not noisy:
@@ -83,7 +85,7 @@ def view_of_many_samples(noisy: bool) -> View:
     described = {name: tensors[name][:, :16] for name in PATH_NAMES}
     line = {"scene": "smooth", "spp": 64, "described": 16, "crop": SIDE, "crops": [[0, 0]]}
     line |= {"exposure": 1.0, "depth_scale": 1.0}
-    return View(line, (tensors | described).__getitem__, 0)
+    return Window(line, (tensors | described).__getitem__, 0)
 
 
 def test_a_magnified_crop_shows_what_its_reference_does_and_its_own_paths() -> None:

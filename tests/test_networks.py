@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pathfold_training.config import Config, Network, load_preset, preset_names
-from pathfold_training.features import OPTIONAL
-from pathfold_training.losses import (
+from pathfold_training.fit.preset import Config, load_preset, preset_names
+from pathfold_training.networks.embedding import PathEmbedding, pixel_embedding
+from pathfold_training.networks.features import OPTIONAL
+from pathfold_training.networks.kpcn import Branch, Kpcn, macs_per_pixel, overlap
+from pathfold_training.networks.losses import (
     albedo_error,
     energy_error,
     error_scale,
@@ -21,11 +23,10 @@ from pathfold_training.losses import (
     tone_map,
     unbiased_relative,
 )
-from pathfold_training.networks.embedding import PathEmbedding, pixel_embedding
-from pathfold_training.networks.kpcn import Branch, Kpcn, macs_per_pixel, overlap
 from pathfold_training.networks.reconstruct import gather
+from pathfold_training.networks.sizes import KpcnSizes
 
-SMALL = Network(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4)
+SMALL = KpcnSizes(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4)
 
 
 def frame(height: int, width: int, samples: int, seed: int = 0) -> dict[str, torch.Tensor]:

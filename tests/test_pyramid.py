@@ -5,9 +5,12 @@ import pytest
 import torch
 from pathfold import _core
 from pathfold.models import ALL_SAMPLES
-from pathfold_training.config import Config, Data, Loss, Optimiser, Pyramid, load_preset
-from pathfold_training.data import Crops, Stored
-from pathfold_training.fit import fit, warm_start
+from pathfold_training.fit.crops import Crops
+from pathfold_training.fit.preset import Config, Data, Loss, Optimiser, load_preset
+from pathfold_training.fit.task import Denoising
+from pathfold_training.fit.train import fit
+from pathfold_training.fit.views import Stored
+from pathfold_training.fit.warm_start import warm_start
 from pathfold_training.networks.pathfold import (
     Pathfold,
     Prediction,
@@ -19,18 +22,12 @@ from pathfold_training.networks.pathfold import (
     pixel_features,
     reconstruct,
 )
-from pathfold_training.networks.reconstruct import (
-    KERNEL_TAPS,
-    _WeighTaps,
-    gather_factor,
-    gather_pyramid,
-    level_sums,
-)
-from pathfold_training.score import load
-from pathfold_training.task import Denoising
+from pathfold_training.networks.reconstruct import KERNEL_TAPS, _WeighTaps, gather_factor, gather_pyramid, level_sums
+from pathfold_training.networks.sizes import PathfoldSizes
+from pathfold_training.release.score import load
 from training_data import write_data_set
 
-SMALL = Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4, clean=True, scaled=True)
+SMALL = PathfoldSizes(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4, clean=True, scaled=True)
 TINY = Config(
     name="tiny",
     description="a network for tests",
@@ -248,7 +245,7 @@ def frame(height: int, width: int, samples: int, seed: int = 0) -> dict[str, tor
     return inputs | {"exposure": torch.ones(1), "depth_scale": torch.ones(1)}
 
 
-def awake(network: Pyramid, seed: int = 0) -> Pathfold:
+def awake(network: PathfoldSizes, seed: int = 0) -> Pathfold:
     """A network whose heads, which start at zero, are random too."""
     torch.manual_seed(seed)
     model = Pathfold(network)
@@ -332,7 +329,7 @@ def test_embedding_moments_of_known_values() -> None:
 @pytest.mark.parametrize(("name", "low", "high"), [("fast", 30, 40), ("balanced", 80, 100), ("high", 150, 330)])
 def test_presets_keep_their_budget(name: str, low: float, high: float) -> None:
     network = load_preset(f"pathfold-{name}").network
-    assert isinstance(network, Pyramid)
+    assert isinstance(network, PathfoldSizes)
     assert low < macs_per_pixel(network, spp=0) / 1e3 <= high
     assert overlap(network) == 112
 

@@ -14,20 +14,23 @@ import torch
 from pathfold.check import check_model
 from pathfold.check.measure import drift, relative_error, tolerance
 from pathfold.denoising import Denoiser
-from pathfold_training import needs, quantise
-from pathfold_training.config import Config, Data, Optimiser, Pyramid
-from pathfold_training.data import Batch, Stored, ValidationViews
-from pathfold_training.export import export, load_task
-from pathfold_training.fit import fit, warm_start
-from pathfold_training.halves import narrow, round_weights, widen
+from pathfold_training.fit.preset import Config, Data, Optimiser
+from pathfold_training.fit.task import Denoising
+from pathfold_training.fit.train import fit
+from pathfold_training.fit.views import Stored, ValidationViews
+from pathfold_training.fit.warm_start import warm_start
+from pathfold_training.networks.batch import Batch
+from pathfold_training.networks.narrow import narrow, round_weights, widen
 from pathfold_training.networks.pathfold import OPTIONAL, PIXEL_CHANNELS
-from pathfold_training.task import Denoising
+from pathfold_training.networks.sizes import PathfoldSizes
+from pathfold_training.release import quantise, without_paths
+from pathfold_training.release.export import export, load_task
 from training_data import write_data_set
 
 CONFIG = Config(
     name="tiny-pathfold",
     description="a network for tests",
-    network=Pyramid(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4, clean=True, scaled=True),
+    network=PathfoldSizes(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4, clean=True, scaled=True),
     data=Data(crop=32, batch=1, spp_max=4, drop_paths=0.5),
     optimiser=Optimiser(steps=2, average=0.5),
 )
@@ -428,12 +431,12 @@ def test_an_export_says_how_many_samples_were_embedded(tmp_path: Path) -> None:
 
 
 def test_from_which_spp_on_paths_can_go_is_measured(exported: tuple[Path, Denoising], tmp_path: Path) -> None:
-    assert needs.least([2, 4, 8], [1.5, 1.01, 1.02]) == 4
-    assert needs.least([2, 4, 8], [1.0, 1.5, 1.0]) == 8
-    assert needs.least([2, 4, 8], [1.0, 1.0, 1.1]) is None
+    assert without_paths.least([2, 4, 8], [1.5, 1.01, 1.02]) == 4
+    assert without_paths.least([2, 4, 8], [1.0, 1.5, 1.0]) == 8
+    assert without_paths.least([2, 4, 8], [1.0, 1.0, 1.1]) is None
     views = Stored(write_data_set(tmp_path / "data")).held_out()
     blind = copy.deepcopy(exported[1]).eval()
     blind.model.first.weight.data[:, 4 * PIXEL_CHANNELS :] = 0  # sees nothing of the embedding
     blind.model.presence.weight.data.zero_()
-    assert needs.samples_without_paths(blind, views) == 2
-    assert needs.ratio(exported[1], views, 2) != 1
+    assert without_paths.samples_without_paths(blind, views) == 2
+    assert without_paths.ratio(exported[1], views, 2) != 1

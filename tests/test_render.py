@@ -18,7 +18,7 @@ import pytest
 
 pytest.importorskip("mitsuba")
 
-from pathfold_training import farm, reference, render, store, view
+from pathfold_training.dataset import farm, render, store, trace, truth
 from pathfold_training.scenes.faults import RejectedError
 from pathfold_training.scenes.procedural import GENERATOR
 
@@ -27,13 +27,13 @@ SMALL = {"budget": 0.0, "seed": 3, "size": 16, "spp": 4}
 
 
 @pytest.fixture(scope="module")
-def task() -> view.Task:
+def task() -> trace.Task:
     return render.plan(0, LIBRARY, 2, 0.0, **SMALL)[0]
 
 
 @pytest.fixture(scope="module")
-def rendered(task: view.Task) -> tuple[store.Line, store.Arrays]:
-    return view.render_view(task)
+def rendered(task: trace.Task) -> tuple[store.Line, store.Arrays]:
+    return trace.render_view(task)
 
 
 @pytest.fixture(scope="module")
@@ -44,15 +44,15 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_equal_seeds_give_equal_views(task: view.Task, rendered: tuple[store.Line, store.Arrays]) -> None:
+def test_equal_seeds_give_equal_views(task: trace.Task, rendered: tuple[store.Line, store.Arrays]) -> None:
     line, one = rendered
-    _, two = view.render_view(task)
+    _, two = trace.render_view(task)
     assert all(np.array_equal(one[name], two[name]) for name in one)
     assert one["samples.descriptor"].shape == (1, 4, 36, 16, 16)
     assert one["reference.color"].shape == (3, 16, 16)
     assert line["crops"] == [[0, 0]]
     assert np.isclose(one["importance"].mean(), 1, atol=1e-3)
-    _, three = view.render_view(replace(task, seed=4))
+    _, three = trace.render_view(replace(task, seed=4))
     assert not np.array_equal(one["samples.radiance"], three["samples.radiance"])
     halves = np.stack([one["reference.half_a.color"], one["reference.half_b.color"]])
     assert np.allclose(halves.mean(0), one["reference.color"], rtol=1e-5)
@@ -60,11 +60,11 @@ def test_equal_seeds_give_equal_views(task: view.Task, rendered: tuple[store.Lin
     assert abs(noisy.mean() / one["reference.color"].mean() - 1) < 0.3
 
 
-def test_samples_come_again_from_the_description(task: view.Task, rendered: tuple[store.Line, store.Arrays]) -> None:
+def test_samples_come_again_from_the_description(task: trace.Task, rendered: tuple[store.Line, store.Arrays]) -> None:
     line, first = rendered
     described = json.loads(json.dumps(line))
     for kind in store.KINDS:
-        again, tensors = view.render_view(replace(task, known=described, kinds=(kind,)))
+        again, tensors = trace.render_view(replace(task, known=described, kinds=(kind,)))
         assert {name.startswith("samples.") for name in tensors} == {kind == store.SAMPLES}
         assert all(np.array_equal(tensors[name], first[name]) for name in tensors)
         assert again["crops"] == line["crops"]
@@ -114,14 +114,14 @@ def test_a_larger_budget_leaves_references_that_are_good(finished: Path) -> None
         assert [task.kinds for task in tasks] == kinds
 
 
-def test_samples_are_not_rendered_to_a_reference_of_another_generator(task: view.Task) -> None:
+def test_samples_are_not_rendered_to_a_reference_of_another_generator(task: trace.Task) -> None:
     known = {"kind": "procedural", "generator": 1, "scene_seed": 5, "width": 16, "height": 16, "camera": None}
     with pytest.raises(RejectedError, match="generator 1 made its scene"):
-        view.render_view(replace(task, kind="procedural", path="", known=known))
+        trace.render_view(replace(task, kind="procedural", path="", known=known))
 
 
-def test_crops_are_windows_of_the_view(task: view.Task) -> None:
-    line, tensors = view.render_view(replace(task, size=32, crop=16, crops=3, spp=64))
+def test_crops_are_windows_of_the_view(task: trace.Task) -> None:
+    line, tensors = trace.render_view(replace(task, size=32, crop=16, crops=3, spp=64))
     assert tensors["samples.radiance"].shape == (3, 64, 3, 16, 16)
     assert tensors["samples.descriptor"].shape == (3, line["described"], 36, 16, 16) and line["described"] < 64
     assert len({tuple(corner) for corner in line["crops"]}) == 3
@@ -131,16 +131,16 @@ def test_crops_are_windows_of_the_view(task: view.Task) -> None:
         assert np.corrcoef(samples.mean(0).ravel(), window.ravel())[0, 1] > 0.9
 
 
-def test_a_zoomed_view_is_a_window_of_a_larger_picture(task: view.Task) -> None:
+def test_a_zoomed_view_is_a_window_of_a_larger_picture(task: trace.Task) -> None:
     task = replace(task, size=32, zoom=4.0, id="tiny-3-1-c")
-    line, tensors = view.render_view(task)
+    line, tensors = trace.render_view(task)
     side, (y, x) = line["window"]["of"], line["window"]["corner"]
     assert 64 < side <= 128 and line["camera"]["fov"] > 25  # the picture's
     for kind in store.KINDS:
-        _, again = view.render_view(replace(task, known=json.loads(json.dumps(line)), kinds=(kind,)))
+        _, again = trace.render_view(replace(task, known=json.loads(json.dumps(line)), kinds=(kind,)))
         assert all(np.array_equal(tensors[name], again[name]) for name in again)
     known = {name: value for name, value in line.items() if name != "window"} | {"width": side, "height": side}
-    _, rendered = view.render_view(replace(task, known=known, kinds=(store.REFERENCES,)))
+    _, rendered = trace.render_view(replace(task, known=known, kinds=(store.REFERENCES,)))
     whole, own = rendered["reference.color"], tensors["reference.color"]
 
     def likeness(top: int, left: int) -> float:
@@ -149,19 +149,19 @@ def test_a_zoomed_view_is_a_window_of_a_larger_picture(task: view.Task) -> None:
     assert likeness(y, x) > 0.98 > 0.95 > max(likeness(y - 3, x), likeness(y, x - 3))
     noisy = tensors["samples.radiance"][0].mean(0)
     assert abs(noisy.mean() / own.mean() - 1) < 0.3
-    assert line["exposure"] == pytest.approx(reference.exposure(whole), rel=0.15)
-    assert line["exposure"] != reference.exposure(own)
+    assert line["exposure"] == pytest.approx(truth.exposure(whole), rel=0.15)
+    assert line["exposure"] != truth.exposure(own)
 
 
 def test_crops_are_drawn_by_weight_without_repeats() -> None:
     weight = np.ones((300, 256))
     weight[:, 128:] = 9
-    drawn = [view.choose_crops(weight, 128, 2, view.entropy(seed, "x")) for seed in range(200)]
+    drawn = [trace.choose_crops(weight, 128, 2, trace.entropy(seed, "x")) for seed in range(200)]
     assert all(len({tuple(c) for c in corners}) == 2 for corners in drawn)
     assert {y for corners in drawn for y, _ in corners} == {0, 86, 172}
     right = np.mean([x == 128 for corners in drawn for _, x in corners])
     assert 0.8 < right < 0.95
-    assert view.choose_crops(np.ones((16, 16)), 16, 4, view.entropy(0, "x")) == [[0, 0]]
+    assert trace.choose_crops(np.ones((16, 16)), 16, 4, trace.entropy(0, "x")) == [[0, 0]]
 
 
 def test_the_same_command_continues_and_reports_broken_scenes(tmp_path: Path) -> None:
@@ -197,15 +197,15 @@ def test_samples_are_rendered_again_at_any_spp(finished: Path, tmp_path: Path) -
     assert list(store.damaged(out, store.read_index(out))) == []
 
 
-def test_a_view_that_is_there_already_is_refused(task: view.Task, finished: Path, tmp_path: Path) -> None:
+def test_a_view_that_is_there_already_is_refused(task: trace.Task, finished: Path, tmp_path: Path) -> None:
     lines = {line["id"]: line for line in store.read_index(finished)}
     gallery = render._gallery(finished, lines)
-    result = view.render_view(replace(task, id="copy"))
+    result = trace.render_view(replace(task, id="copy"))
     assert render._take_in(tmp_path, replace(task, id="copy"), result, gallery) is None
     assert not list(tmp_path.iterdir())
 
 
-def test_a_killed_process_costs_its_view_a_retry(task: view.Task) -> None:
+def test_a_killed_process_costs_its_view_a_retry(task: trace.Task) -> None:
     other = replace(task, id="other", number=1)
     killed: list[int] = []
 
@@ -227,12 +227,12 @@ def test_a_killed_process_costs_its_view_a_retry(task: view.Task) -> None:
     assert all(not isinstance(result, str) for result in results.values())
 
 
-def die(task: view.Task) -> farm.Result:
+def die(task: trace.Task) -> farm.Result:
     os.kill(os.getpid(), signal.SIGKILL)
     return "not reached"
 
 
-def test_a_view_whose_process_always_dies_is_given_up(task: view.Task) -> None:
+def test_a_view_whose_process_always_dies_is_given_up(task: trace.Task) -> None:
     ((_, result),) = farm.local([task], 2, die)
     assert result == "its process died with exit code -9, 2 times"
 
@@ -329,7 +329,7 @@ def test_a_cluster_renders_the_same_and_survives_a_killed_worker(
             assert np.array_equal(one, two)
 
 
-def test_a_cluster_that_is_not_there_is_named(task: view.Task, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_that_is_not_there_is_named(task: trace.Task, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr(farm, "ANSWER", 1)
     with pytest.raises(OSError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
@@ -349,7 +349,7 @@ def test_views_of_a_generated_scene_share_it_and_its_split() -> None:
     assert len({t.id for t in more}) == len(more) == 18 and {t.id for t in one} < {t.id for t in more}
     assert len({(t.scene, t.split) for t in more}) == 6
     pair = sorted((t for t in more if t.scene == more[0].scene and t.number < 2), key=lambda t: t.number)
-    first, second = (view.render_view(t)[0] for t in pair)
+    first, second = (trace.render_view(t)[0] for t in pair)
     assert first["scene_seed"] == second["scene_seed"] and first["camera"] != second["camera"]
 
 
@@ -367,27 +367,27 @@ def test_the_command_renders_views_of_generated_scenes(tmp_path: Path) -> None:
 
 def test_half_error_estimates_the_error_of_the_mean() -> None:
     rng = np.random.default_rng(0)
-    truth = rng.uniform(0.2, 1, (64, 64, 3))
-    a, b = (truth + 0.02 * rng.normal(size=truth.shape) for _ in range(2))
-    actual = np.mean(((a + b) / 2 - truth) ** 2 / (truth**2 + 1e-2))
-    assert reference.half_error(a, b) == pytest.approx(actual, rel=0.1)
+    right = rng.uniform(0.2, 1, (64, 64, 3))
+    a, b = (right + 0.02 * rng.normal(size=right.shape) for _ in range(2))
+    actual = np.mean(((a + b) / 2 - right) ** 2 / (right**2 + 1e-2))
+    assert truth.half_error(a, b) == pytest.approx(actual, rel=0.1)
 
 
 def test_exposure_is_the_sdk_s_and_stands_outliers() -> None:
     image = np.random.default_rng(0).uniform(0.1, 1, (3, 65, 50)).astype(np.float32)
-    calm = reference.exposure(image)
+    calm = truth.exposure(image)
     assert calm == pathfold.auto_exposure(np.moveaxis(image, 0, -1))
     image[:, 3, 3] = 1e12
-    assert reference.exposure(image) == pytest.approx(calm, rel=0.2)
+    assert truth.exposure(image) == pytest.approx(calm, rel=0.2)
 
 
 def test_exposure_scales_inversely_and_ignores_black() -> None:
     image = np.random.default_rng(0).uniform(0.1, 1, (3, 64, 48)).astype(np.float32)
-    assert reference.exposure(image) == pytest.approx(100 * reference.exposure(100 * image), rel=1e-5)
-    assert reference.exposure(np.zeros((3, 8, 8), np.float32)) == 1
-    assert reference.exposure(np.full((3, 20, 20), 0.18, np.float32)) == pytest.approx(1, rel=1e-4)
+    assert truth.exposure(image) == pytest.approx(100 * truth.exposure(100 * image), rel=1e-5)
+    assert truth.exposure(np.zeros((3, 8, 8), np.float32)) == 1
+    assert truth.exposure(np.full((3, 20, 20), 0.18, np.float32)) == pytest.approx(1, rel=1e-4)
 
 
 def test_depth_scale_is_over_what_was_met() -> None:
-    assert reference.depth_scale(np.array([0, 2.0, 8.0, np.inf])) == pytest.approx(1 / 4)
-    assert reference.depth_scale(np.zeros(4)) == 1
+    assert truth.depth_scale(np.array([0, 2.0, 8.0, np.inf])) == pytest.approx(1 / 4)
+    assert truth.depth_scale(np.zeros(4)) == 1

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pathfold_training import dataset, store
 from pathfold_training.cli import app
+from pathfold_training.dataset import contents, store
 from safetensors.numpy import save_file
 from training_data import view_tensors, write_data_set
 from typer.testing import CliRunner
@@ -93,7 +93,7 @@ def test_a_damaged_line_is_left_out_and_mended(folder: Path, line: bytes) -> Non
     whole = store.read_index(folder)
     index.write_bytes(b"\n".join([rows[0], line, rows[2]]) + b"\n")
     assert ids(store.Store(folder).lines) == ["view-0", "view-2"]
-    assert dataset.info(folder)["views"] == 2
+    assert contents.info(folder)["views"] == 2
     assert sorted(store.recover(folder), key=lambda line: line["id"]) == whole
 
 
@@ -165,7 +165,7 @@ def test_a_write_beyond_the_file_size_limit_leaves_nothing(folder: Path) -> None
     program = f"""
 import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
-from pathfold_training import store
+from pathfold_training.dataset import store
 from training_data import view_tensors
 folder = Path({str(folder)!r})
 store.write(folder, store.read_index(folder)[0] | {{"id": "view-9"}}, view_tensors(9))
@@ -203,11 +203,11 @@ def test_info_checks_every_byte_when_asked(folder: Path) -> None:
     assert CliRunner().invoke(app, ["dataset", "info", str(folder)]).exit_code == 0
     result = CliRunner().invoke(app, ["dataset", "info", str(folder), "--check"])
     assert result.exit_code == 1
-    assert dataset.info(folder, check=True)["damaged"] == [str(path(folder, store.REFERENCES, 1))]
+    assert contents.info(folder, check=True)["damaged"] == [str(path(folder, store.REFERENCES, 1))]
     cut, gone = (path(folder, kind, 0) for kind in (store.SAMPLES, store.REFERENCES))
     cut.write_bytes(cut.read_bytes()[:-1])
     gone.unlink()
-    assert set(dataset.info(folder, check=True)["damaged"]) == {
+    assert set(contents.info(folder, check=True)["damaged"]) == {
         *map(str, (cut, gone, path(folder, store.REFERENCES, 1)))
     }
 
@@ -223,7 +223,7 @@ def test_sheet_shows_every_reference(folder: Path, tmp_path: Path) -> None:
     assert np.abs(pixels[40:, :40] - 255 * (exposed / (1 + exposed)) ** (1 / 2.2)).max() < 1
     assert not pixels[40:, 40:].any()
     with pytest.raises(OSError, match=r"cannot write .*; give a \.jpg or \.png"):
-        dataset.sheet(folder, tmp_path / "nowhere" / "sheet.png")
+        contents.sheet(folder, tmp_path / "nowhere" / "sheet.png")
 
 
 @pytest.mark.parametrize(

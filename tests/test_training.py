@@ -12,31 +12,28 @@ import pytest
 import torch
 from pathfold.metrics import rell2
 from pathfold.models import ALL_SAMPLES
-from pathfold_training import cli, data, store
-from pathfold_training.average import average
-from pathfold_training.config import Config, Data, Loss, Network, Optimiser, Pyramid
-from pathfold_training.data import (
-    PATH_NAMES,
-    SAMPLE_NAMES,
-    Crops,
-    Stored,
-    ValidationViews,
-    View,
-    add_fireflies,
-    augment,
-    frame_inputs,
-    reduce_samples,
-)
-from pathfold_training.export import export
-from pathfold_training.fit import checkpoint_weights, fit, start_record
-from pathfold_training.store import append_line, read_index, write
-from pathfold_training.task import Denoising
+from pathfold_training import cli
+from pathfold_training.dataset import store
+from pathfold_training.dataset.store import append_line, read_index, write
+from pathfold_training.fit import views
+from pathfold_training.fit.augment import add_fireflies, augment
+from pathfold_training.fit.checkpoint import start_record
+from pathfold_training.fit.crops import Crops
+from pathfold_training.fit.frames import PATH_NAMES, frame_inputs, reduce_samples
+from pathfold_training.fit.preset import Config, Data, Loss, Optimiser
+from pathfold_training.fit.task import Denoising
+from pathfold_training.fit.train import fit
+from pathfold_training.fit.views import SAMPLE_NAMES, Stored, ValidationViews, Window
+from pathfold_training.fit.warm_start import checkpoint_weights
+from pathfold_training.networks.sizes import KpcnSizes, PathfoldSizes
+from pathfold_training.release.average import average
+from pathfold_training.release.export import export
 from training_data import SIDE, view_tensors, write_data_set
 
 TINY = Config(
     name="tiny",
     description="a network for tests",
-    network=Network(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4),
+    network=KpcnSizes(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4),
     loss=Loss(manifold=0.0125, manifold_pairs=256),
     data=Data(crop=24, batch=2, spp_max=4),
     optimiser=Optimiser(steps=4, precision="fp32", warmup=1),
@@ -252,7 +249,7 @@ def damaged_files(folder: Path) -> None:
     for name, graph in (("cut", b"\x08\x08\x3a\xff\x01\x0a"), ("hollow", b"")):
         (folder / name / "manifest.json").write_text(json.dumps(manifest | {"reconstruction": {"operator": "gather"}}))
         (folder / name / "network.onnx").write_bytes(graph)
-    pyramid = Pyramid(widths=(8, 8, 8, 8), convolutions=(1, 1, 1, 1), embedding=2)
+    pyramid = PathfoldSizes(widths=(8, 8, 8, 8), convolutions=(1, 1, 1, 1), embedding=2)
     task = Denoising(TINY.model_copy(update={"network": pyramid}))
     state = {"state_dict": task.state_dict(), "hyper_parameters": {"config": task.config.model_dump()}}
     state |= {"global_step": 1, "callbacks": {"TrainingSeconds": {"seconds": 1.0, "cpu_seconds": 1.0}}}
@@ -355,7 +352,7 @@ def test_a_view_is_scored_without_the_noise_of_its_reference() -> None:
     clean = tensors["reference.color"] + 1.0  # where it is dark, noise makes its weight uncertain
     halves = {"reference.half_a.color": clean + noise[0], "reference.half_b.color": clean + noise[1]}
     line = {"scene": "smooth", "spp": 8, "described": 8, "crop": SIDE, "crops": [[0, 0]]}
-    view = View(line | {"exposure": 1.0, "depth_scale": 1.0}, (tensors | halves).__getitem__, 0)
+    view = Window(line | {"exposure": 1.0, "depth_scale": 1.0}, (tensors | halves).__getitem__, 0)
     batch = ValidationViews([view], ALL_SAMPLES, 4)[0]
     task = Denoising(TINY)
     task.denoise = lambda _: torch.from_numpy(clean + 0.04)[None]  # a picture whose error is known
@@ -369,7 +366,7 @@ def test_a_view_is_scored_without_the_noise_of_its_reference() -> None:
 def test_cleaned_references_are_kept_until_the_view_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = write_data_set(tmp_path / "data", 2)
     calls = []
-    monkeypatch.setattr(data, "cleaned", lambda a, *_: calls.append(1) or np.full_like(a, len(calls)))
+    monkeypatch.setattr(views, "cleaned", lambda a, *_: calls.append(1) or np.full_like(a, len(calls)))
     assert float(Stored(folder).train[0].cleaned.mean()) == 1.0
     again = Stored(folder).train[0].cleaned
     assert again.shape == (3, 40, 40) and float(again.mean()) == 1.0 and len(calls) == 1
@@ -402,7 +399,7 @@ def test_samples_are_any_subset_and_begin_with_those_whose_paths_are_stored(tmp_
     tensors = view_tensors(0)
     stored = {name: v[:, :3] if name in PATH_NAMES else v for name, v in tensors.items()}
     line = json.loads((write_data_set(tmp_path / "data", 1) / "index.jsonl").read_text())
-    view = View(line | {"described": 3}, stored.__getitem__, 0)
+    view = Window(line | {"described": 3}, stored.__getitem__, 0)
     rng = np.random.default_rng(1)
     drawn = [view.subset(count, 2, rng) for count in (1, 2, 5, 8) for _ in range(50)]
     for numbers in drawn:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from pathfold_training.store import append_line, write
+from pathfold_training.dataset.store import append_line, write
 
 SAMPLES, SIDE = 8, 40
 

@@ -13,7 +13,8 @@ from pathfold.cli.console import run as run_application
 from rich.console import Console
 from rich.table import Table
 
-from .reference import BUDGET
+from .dataset import contents, store
+from .dataset.truth import BUDGET
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -73,8 +74,7 @@ def render(
 
     Without --procedural and --library it completes the views that are there.
     """
-    from . import store
-    from .render import render as run
+    from .dataset.render import render as run
 
     if budget is not None and not math.isfinite(budget):
         raise ValueError(f"--budget {budget}: give core-seconds per view, such as {BUDGET}")
@@ -102,9 +102,7 @@ def dataset_info(
     ] = False,
 ) -> None:
     """Say what a data set holds."""
-    from .dataset import info
-
-    facts = info(folder, check)
+    facts = contents.info(folder, check)
     if as_json:
         print(json.dumps(facts, indent=2))
     else:
@@ -133,11 +131,9 @@ def dataset_sheet(
     columns: Annotated[int, typer.Option(min=1, help="pictures in a row")] = 12,
 ) -> None:
     """Draw a contact sheet of all references."""
-    from .dataset import sheet
-
     if out.suffix.lower() not in (".jpg", ".jpeg", ".png"):
         raise ValueError(f"-o {out}: a contact sheet is written as .jpg or .png")
-    console.print(f"{out}: {sheet(folder, out, columns)} views")
+    console.print(f"{out}: {contents.sheet(folder, out, columns)} views")
 
 
 @app.command()
@@ -161,9 +157,9 @@ def fit(
     """Train a preset (Algorithm 1)."""
     from lightning.pytorch.utilities import rank_zero_only
 
-    from .config import load_preset
-    from .fit import fit as run
-    from .live import Live
+    from .fit.live import Live
+    from .fit.preset import load_preset
+    from .fit.train import fit as run
 
     if (data is None) != render_on_the_fly:
         raise ValueError("give --data DIR, or --render-on-the-fly, and not both")
@@ -181,7 +177,7 @@ def average(
     out: Annotated[Path, typer.Option("--out", "-o", callback=_folder, help="folder of the averaged run")],
 ) -> None:
     """Average the weights of runs that went from one to the next. What else is recorded is the first one's."""
-    from .average import average as run
+    from .release.average import average as run
 
     console.print(f"checkpoint: {run(runs, out)}")
 
@@ -200,10 +196,10 @@ def export(
     ] = None,
 ) -> None:
     """Write a model folder: ONNX graphs, manifest and model card. Of the pathfold family in int8, too, with --data."""
-    from .data import Stored
-    from .export import export as write
-    from .fit import read_record
-    from .quantise import add_int8, can_be_quantised
+    from .fit.checkpoint import read_record
+    from .fit.views import Stored
+    from .release.export import export as write
+    from .release.quantise import add_int8, can_be_quantised
 
     checkpoint = run / "last.ckpt"
     if not checkpoint.is_file():
@@ -229,7 +225,7 @@ def evaluate(
     """Compare models with the noisy input and OIDN on scenes with references."""
     from pathfold import models
 
-    from .evaluate import evaluate as run
+    from .release.evaluate import evaluate as run
 
     run(scenes, out, model or list(models.available(models.shipped_directories())), spp=spp, seeds=seeds)
 
@@ -240,7 +236,7 @@ def card(
     results: Annotated[Path, typer.Option(help="folder that 'evaluate' wrote")],
 ) -> None:
     """Write model cards anew, with the errors that were measured."""
-    from .card import write_card
+    from .release.card import write_card
 
     for folder in folders:
         write_card(folder, results)

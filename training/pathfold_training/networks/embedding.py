@@ -9,7 +9,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
-from ..features import DESCRIPTOR_CHANNELS
+from .features import DESCRIPTOR_CHANNELS
 
 ALIGNMENT = 4  # two 2x2 poolings
 # mean and deviation of F's inputs over generated and library views: undivided radiance, photon energy, attenuations;

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from ..config import Network
-from ..features import BRANCH_CHANNELS, OPTIONAL, branch_features, density_features, descriptor_features
 from . import embedding
 from .embedding import PathEmbedding, per_sample, pixel_embedding, sample_mean
+from .features import BRANCH_CHANNELS, OPTIONAL, branch_features, density_features, descriptor_features
+from .sizes import KpcnSizes
 
 BRANCHES = ("diffuse", "specular")
 SAMPLE_INPUTS = ("samples.descriptor", "samples.density", "samples.valid")
@@ -28,7 +28,7 @@ class Prediction(NamedTuple):
 class Branch(nn.Module):
     """R (and F) of one branch. `demodulate` is set for the diffuse one."""
 
-    def __init__(self, network: Network, demodulate: bool) -> None:
+    def __init__(self, network: KpcnSizes, demodulate: bool) -> None:
         super().__init__()
         self.demodulate = demodulate
         self.pointwise = network.last_kernel == 1
@@ -98,7 +98,7 @@ def path_features(inputs: dict[str, Tensor], counts: list[int] | None = None) ->
 
 
 class Kpcn(nn.Module):
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: KpcnSizes) -> None:
         super().__init__()
         self.network = network
         self.branches = nn.ModuleDict({name: Branch(network, name == "diffuse") for name in BRANCHES})
@@ -109,14 +109,14 @@ class Kpcn(nn.Module):
         return module
 
 
-def overlap(network: Network) -> int:
+def overlap(network: KpcnSizes) -> int:
     """Pixels around a tile that its result depends on: R, the gradient's one, F, and the kernel; a multiple of 4."""
     radius = 2 * (network.layers - 1) + network.last_kernel // 2 + 1 + network.kernel_size // 2
     radius += embedding.RADIUS if network.embedding else 0
     return -(-radius // embedding.ALIGNMENT) * embedding.ALIGNMENT
 
 
-def macs_per_pixel(network: Network, spp: int) -> float:
+def macs_per_pixel(network: KpcnSizes, spp: int) -> float:
     """Multiply-adds per output pixel, both branches, from the layers' sizes."""
     total = 0.0
     for branch in Kpcn(network).branches.values():

@@ -13,11 +13,11 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from ..config import Pyramid
-from ..features import DESCRIPTOR_CHANNELS
 from .embedding import INPUT_DEVIATION, INPUT_MEAN, sample_sum
+from .features import DESCRIPTOR_CHANNELS
 from .kpcn import path_features
 from .reconstruct import COARSEST_LOGITS, KERNEL_TAPS, LEVEL_LOGITS, gather_factor, gather_pyramid
+from .sizes import PathfoldSizes
 
 LEVELS = 5
 ALIGNMENT = 1 << (LEVELS - 1)
@@ -97,7 +97,7 @@ class Standardised(nn.Conv2d):
 class Pathfold(nn.Module):
     """Buffers of B frames (and their samples, image after image) -> trust and kernel logits of every level."""
 
-    def __init__(self, network: Pyramid) -> None:
+    def __init__(self, network: PathfoldSizes) -> None:
         super().__init__()
         self.network = network
         widths, counts = network.widths, network.convolutions
@@ -283,7 +283,7 @@ def upsample(x: Tensor) -> Tensor:
     return functional.interpolate(x, scale_factor=2.0, mode="nearest")
 
 
-def overlap(network: Pyramid) -> int:
+def overlap(network: PathfoldSizes) -> int:
     """Pixels around a tile that its result depends on, a multiple of 16: follows radii through the layers.
 
     A map at level l of radius r depends on the pixels of its cell and r more on every side: a 3x3 convolution adds
@@ -308,7 +308,7 @@ def overlap(network: Pyramid) -> int:
     return -(-most // ALIGNMENT) * ALIGNMENT
 
 
-def macs_per_pixel(network: Pyramid, spp: int) -> float:
+def macs_per_pixel(network: PathfoldSizes, spp: int) -> float:
     """Multiply-adds of the convolutions per output pixel, from the layers' sizes."""
     model, total = Pathfold(network), 0.0
     seen = min(spp, network.path_samples)

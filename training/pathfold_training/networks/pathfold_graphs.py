@@ -12,8 +12,8 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from ..features import DESCRIPTOR_SCALES, descriptor_logs
 from . import pathfold
+from .features import DESCRIPTOR_SCALES, descriptor_logs
 from .pathfold import OPTIONAL, PIXEL_CHANNELS, Pathfold, Standardised
 
 

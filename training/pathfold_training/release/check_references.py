@@ -15,9 +15,9 @@ from pathfold.check.prepare import Prepared, prepare, reads
 from pathfold.check.references import References, frame_hash
 from torch import Tensor
 
-from .networks.pathfold import Pathfold, reconstruct
-from .networks.reconstruct import gather
-from .task import Denoising
+from ..fit.task import Denoising
+from ..networks.pathfold import Pathfold, reconstruct
+from ..networks.reconstruct import gather
 
 
 def write_references(task: Denoising, folder: Path, manifest: dict[str, Any]) -> None:

@@ -23,13 +23,15 @@ from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, Q
 from pathfold import Denoiser
 from pathfold.report.results import geometric
 
+from ..fit.crops import Crops
+from ..fit.preset import Config
+from ..fit.views import Stored, ValidationViews
+from ..networks.batch import Batch, Inputs
+from ..networks.losses import halves_error
+from ..networks.narrow import narrow, widen
 from .card import model_card
-from .config import Config
-from .data import Batch, Crops, Inputs, Stored, ValidationViews
 from .export import sha256
-from .halves import narrow, widen
-from .losses import halves_error
-from .needs import some
+from .without_paths import some
 
 GRAPH, FILE = "network", "network.int8.onnx"  # what is quantised, and where it is written
 BODY = ("down.", "project.", "up.")  # its layers

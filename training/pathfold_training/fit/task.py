@@ -12,10 +12,10 @@ import torch
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor
 
-from .config import Config, Pyramid
-from .data import Batch, Inputs
-from .features import DEMODULATION_EPSILON
-from .losses import (
+from ..networks.batch import Batch, Inputs
+from ..networks.features import DEMODULATION_EPSILON
+from ..networks.kpcn import Kpcn, path_features
+from ..networks.losses import (
     albedo_error,
     energy_error,
     error_scale,
@@ -27,9 +27,10 @@ from .losses import (
     tone_map,
     unbiased_relative,
 )
-from .networks.kpcn import Kpcn, path_features
-from .networks.pathfold import ALBEDO_EPSILON, Pathfold
-from .networks.reconstruct import gather
+from ..networks.pathfold import ALBEDO_EPSILON, Pathfold
+from ..networks.reconstruct import gather
+from ..networks.sizes import PathfoldSizes
+from .preset import Config
 
 
 @dataclass
@@ -74,7 +75,7 @@ class Denoising(lightning.LightningModule):
         super().__init__()
         self.config = config
         self.save_hyperparameters({"config": config.model_dump()})
-        self.model = Pathfold(config.network) if isinstance(config.network, Pyramid) else Kpcn(config.network)
+        self.model = Pathfold(config.network) if isinstance(config.network, PathfoldSizes) else Kpcn(config.network)
         self.model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.generator = torch.Generator()
 

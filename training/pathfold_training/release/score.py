@@ -9,9 +9,10 @@ from statistics import fmean
 
 import torch
 
-from .data import ValidationViews, View, without_paths
-from .fit import load_checkpoint
-from .task import Denoising
+from ..fit.checkpoint import load_checkpoint
+from ..fit.frames import without_paths
+from ..fit.task import Denoising
+from ..fit.views import ValidationViews, Window
 
 
 def load(checkpoint: Path) -> Denoising:
@@ -25,7 +26,7 @@ def load(checkpoint: Path) -> Denoising:
     return task
 
 
-def score(task: Denoising, views: Sequence[View], spp: int = 8, paths: bool = True) -> float:
+def score(task: Denoising, views: Sequence[Window], spp: int = 8, paths: bool = True) -> float:
     """Mean log of RelL2 over the noisy input's at `spp`, over whole windows; lower is better.
 
     Free of the references' noise. Scenes weigh alike, however many windows each has. `paths` False takes the

@@ -15,19 +15,19 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from ..files import make_folder
+from ..fit.checkpoint import load_checkpoint, training_seconds
+from ..fit.task import Denoising
+from ..fit.views import Window
+from ..networks import embedding, kpcn, pathfold
+from ..networks.features import DEMODULATION_EPSILON, DESCRIPTOR_CHANNELS, OPTIONAL
+from ..networks.kpcn import BRANCHES, Branch, Kpcn
+from ..networks.narrow import narrow, round_weights
+from ..networks.pathfold import Pathfold
+from ..networks.pathfold_graphs import EmbeddingGraph, NetworkGraph
 from .card import model_card
-from .data import View
-from .features import DEMODULATION_EPSILON, DESCRIPTOR_CHANNELS, OPTIONAL
-from .fit import load_checkpoint, training_seconds
-from .halves import narrow, round_weights
-from .needs import samples_without_paths
-from .networks import embedding, kpcn, pathfold
-from .networks.kpcn import BRANCHES, Branch, Kpcn
-from .networks.pathfold import Pathfold
-from .networks.pathfold_graphs import EmbeddingGraph, NetworkGraph
-from .references import write_references
-from .store import make_folder
-from .task import Denoising
+from .check_references import write_references
+from .without_paths import samples_without_paths
 
 OPSET = 18
 CHANNELS = {"radiance": 3, "variance": 3, "albedo": 3, "normal": 3, "depth": 1, "diffuse.albedo": 3}
@@ -142,7 +142,9 @@ def sha256(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def export(checkpoint: Path, out: Path, record: dict, standalone: bool = False, held_out: Sequence[View] = ()) -> Path:
+def export(
+    checkpoint: Path, out: Path, record: dict, standalone: bool = False, held_out: Sequence[Window] = ()
+) -> Path:
     """Write the model folder `out`; `record` is the training run's record.json. Returns `out`.
 
     On `held_out` views a model that can do without path descriptors is tried without, see needs.py. Raises ValueError

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pathfold import auto_exposure
 
-from .scenes.faults import RejectedError
+from ..scenes.faults import RejectedError
 
 BUDGET = 0.5  # core-seconds; more views with such references taught more than fewer clean ones (docs/results)
 ROUND = 32  # samples per pixel and half between two looks at clock and error

@@ -7,7 +7,9 @@ from os.path import relpath
 from pathlib import Path
 from typing import Any
 
-from .store import read_object
+from pathfold.report.results import geometric, read
+
+from ..files import read_object
 
 PEERS = ("noisy", "oidn", "oidn-prefiltered")
 
@@ -101,8 +103,6 @@ def write_card(folder: Path, results: Path) -> None:
 
 def error_section(name: str, results: Path, link: str) -> str:
     """Markdown: RelL2 scene by scene beside the input's and OIDN's, worst against OIDN first, with pictures."""
-    from pathfold.report.results import geometric, read
-
     rows = list(read(results / "results.jsonl").values())
     again = f"make it by pathfold-train evaluate SCENES -o {results}"
     if not any(row.method == name for row in rows):

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .scenes.faults import RejectedError
+from ..scenes import cameras, library, procedural, variation
+from ..scenes.faults import RejectedError, picture_fault
 from .store import KINDS, REFERENCES, SAMPLES, Arrays, Line
+from .truth import depth_scale, exposure, importance, render_reference
 
 LIBRARY_DEPTH = 6  # scenes of a library state depths up to 65; one value keeps the data alike, and cost grows with it
 LANES = 1 << 22  # samples traced in one call
@@ -83,9 +85,6 @@ def render_view(task: Task) -> tuple[Line, Arrays]:
 
 
 def _render(task: Task, scene: Any, line: Line) -> tuple[Line, Arrays]:
-    from .reference import render_reference
-    from .scenes.faults import picture_fault
-
     tensors: Arrays = {}
     if REFERENCES in task.kinds:
         seeds = [int(s) for s in entropy(task.seed, task.id, "reference")[:2]]
@@ -168,9 +167,6 @@ def _windowed(scene: Any, task: Task, line: Line) -> Line:
     """
     from pathfold.mitsuba import trace_mean
 
-    from .reference import depth_scale, exposure, importance
-    from .scenes.faults import picture_fault
-
     if task.zoom == 1:
         return line
     depth = line["max_depth"]
@@ -196,8 +192,6 @@ def _windowed(scene: Any, task: Task, line: Line) -> Line:
 
 def _show(scene: Any, line: Line, corner: tuple[int, int] = (0, 0), size: tuple[int, int] | None = None) -> None:
     """Gives the film of an aimed scene the view's pixels, or those of its `size` (x, y) from `corner` on."""
-    from .scenes import cameras
-
     whole = line["width"], line["height"]
     y, x = line["window"]["corner"] if "window" in line else (0, 0)
     cameras.resize(scene, (line["window"]["of"],) * 2 if "window" in line else whole)
@@ -209,8 +203,6 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
 
     A generated scene in which no camera is found gives way to another one, for this view alone.
     """
-    from .scenes import cameras, library, procedural, variation
-
     size = task.size, task.size
     line: Line = {name: getattr(task, name) for name in DESCRIPTION}
     line |= {"width": task.size, "height": task.size, "path": task.path}
@@ -240,8 +232,6 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
 
 def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
     """The scene of an index line with its camera aimed again."""
-    from .scenes import cameras, procedural, variation
-
     size = line["width"], line["height"]
     if line["kind"] == "procedural" and line.get("generator", 1) != procedural.GENERATOR:
         raise RejectedError(
@@ -262,8 +252,6 @@ def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
 def _build(seed: int) -> tuple[Any, Any]:
     import drjit as dr
 
-    from .scenes import procedural
-
     dr.set_thread_count(2)  # with fewer, Mitsuba's loaders wait for each other
     built = procedural.build(seed)
     scene = built.stage.load()
@@ -274,8 +262,6 @@ def _build(seed: int) -> tuple[Any, Any]:
 def _load_file(task: Task) -> Any:
     import drjit as dr
 
-    from .scenes import library
-
     dr.set_thread_count(2)
     scene = library.load(_entry(task))
     dr.set_thread_count(1)
@@ -283,8 +269,6 @@ def _load_file(task: Task) -> Any:
 
 
 def _entry(task: Task) -> Any:
-    from .scenes import library
-
     return library.Entry(Path(task.path), task.scene, task.licence, task.origin)
 
 

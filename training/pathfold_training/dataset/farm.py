@@ -13,9 +13,9 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any, cast
 
-from .scenes.faults import RejectedError
+from ..scenes.faults import RejectedError
 from .store import Arrays, Line
-from .view import Task, render_view
+from .trace import Task, render_view
 
 Result = tuple[Line, Arrays] | str
 STUCK = 1200  # seconds after which a view's process is given up

@@ -13,11 +13,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ..files import make_folder
+from ..scenes import library as scenes
+from ..scenes.faults import Gallery
+from ..scenes.procedural import GENERATOR
 from . import farm, store
-from .reference import BUDGET, GOOD
-from .scenes.faults import Gallery
-from .scenes.procedural import GENERATOR
-from .view import DESCRIPTION, Task, entropy
+from .trace import DESCRIPTION, Task, entropy
+from .truth import BUDGET, GOOD
 
 SPP = 16  # of the samples of new views
 
@@ -57,7 +59,7 @@ def render(
     of `workers` processes. Returns how many views are "done", "kept" and "failed"; reasons are in out/render.log.
     Raises OSError where a file cannot be written; all that was written before is whole.
     """
-    store.make_folder(out)
+    make_folder(out)
     with _log_file(out / "render.log"):
         lines = {line["id"]: line for line in store.recover(out) if not _lost(line)}
         spend = BUDGET if budget is None else budget
@@ -147,8 +149,6 @@ def plan(
 
     `common` are fields that all tasks share, `seed` among them.
     """
-    from .scenes import library as scenes
-
     seed = common["seed"]
 
     def split(name: str) -> str:

@@ -10,7 +10,7 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from .networks.pathfold import Pathfold
+from .pathfold import Pathfold
 
 SUFFIX = ".half"  # of the stored weight's name
 LARGEST = float(np.finfo(np.float16).max)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .data import View
+from ..fit.task import Denoising
+from ..fit.views import Window
 from .score import score
-from .task import Denoising
 
 VIEWS = 16  # held-out windows to measure on, at most
 BOUND = 1.02  # of RelL2 without paths over that with them
 
 
-def samples_without_paths(task: Denoising, views: Sequence[View]) -> int | None:
+def samples_without_paths(task: Denoising, views: Sequence[Window]) -> int | None:
     """The least power of two from which on the ratio stays below BOUND, None if it does not at the most samples.
 
     It is taken over at most VIEWS of `views`, at 2, 4, 8, ... samples per pixel as far as all of these have them.
@@ -24,7 +24,7 @@ def samples_without_paths(task: Denoising, views: Sequence[View]) -> int | None:
     return least(levels, [ratio(task, views, spp) for spp in levels])
 
 
-def some(views: Sequence[View]) -> Sequence[View]:
+def some(views: Sequence[Window]) -> Sequence[Window]:
     """VIEWS of the views at most, evenly spread."""
     return views[:: -(-len(views) // VIEWS)]
 
@@ -39,6 +39,6 @@ def least(levels: Sequence[int], ratios: Sequence[float]) -> int | None:
     return found
 
 
-def ratio(task: Denoising, views: Sequence[View], spp: int) -> float:
+def ratio(task: Denoising, views: Sequence[Window], spp: int) -> float:
     """RelL2 without paths over that with them, geometric mean over scenes, free of the references' noise."""
     return math.exp(score(task, views, spp, paths=False) - score(task, views, spp))

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from pathfold.metrics import EPSILON
 from pathfold.report import peers
-
-from .losses import RELATIVE_EPSILON
 
 REACH = 15  # pixels of the square over which errors are compared
 
@@ -27,7 +26,7 @@ def cleaned(a: Image, b: Image, albedo: Image, normal: Image, exposure: float) -
     mean: Image = (a + b) * np.float32(0.5)
     guides = peers.prefiltered(rows(albedo), rows(normal))
     result, smooth_a, smooth_b = (peers.oidn_clean(rows(x), *guides).transpose(2, 0, 1) for x in (mean, a, b))
-    scale = np.square(result) + RELATIVE_EPSILON / exposure**2
+    scale = np.square(result) + EPSILON / exposure**2
     variance = np.square(a - b) / 2
     crossed = (np.square(smooth_a - b) + np.square(smooth_b - a)) / 2
     bias = np.maximum(box((crossed - variance) / scale), 0.0)

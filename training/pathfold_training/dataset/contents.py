@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..scenes.faults import Gallery
 from . import store
-from .scenes.faults import Gallery
 
 
 def info(folder: Path, check: bool = False) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from typing import Any
 
 import torch
 
-from .fit import RECORD, load_checkpoint, read_record
-from .store import make_folder
+from ..files import make_folder
+from ..fit.checkpoint import RECORD, load_checkpoint, read_record
 
 
 def average(runs: Sequence[Path], out: Path) -> Path:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
-from .data import View
-from .reference import BUDGET
-from .render import procedural_task
-from .scenes.faults import RejectedError
-from .store import Line
-from .view import render_view
+from ..dataset.render import procedural_task
+from ..dataset.store import Line
+from ..dataset.trace import render_view
+from ..dataset.truth import BUDGET
+from ..scenes.faults import RejectedError
+from .views import Window
 
 FIRST = 4  # views that are there before the first step
 POOL = 32  # views that are kept; the oldest makes room
@@ -40,9 +40,9 @@ class LiveViews:
     def __init__(self, live: Live, seed: int, process: int = 0, processes: int = 1) -> None:
         self.live, self.seed, self.process, self.processes = live, seed, process, processes
         self.lines: list[Line] = []
-        self._pool: dict[int, View] = {}
+        self._pool: dict[int, Window] = {}
 
-    def __call__(self, step: int) -> Sequence[View]:
+    def __call__(self, step: int) -> Sequence[Window]:
         newest = FIRST + step // self.live.every
         for number in range(max(0, newest - POOL), newest):
             if number not in self._pool:
@@ -51,11 +51,11 @@ class LiveViews:
             del self._pool[number]
         return list(self._pool.values())
 
-    def held_out(self) -> list[View]:
+    def held_out(self) -> list[Window]:
         """Views of scenes that training never sees; the same for every process."""
         return [self._render(2 * number + 1, "val") for number in range(HELD_OUT)]
 
-    def _render(self, index: int, split: str) -> View:
+    def _render(self, index: int, split: str) -> Window:
         live = self.live
         common: dict[str, Any] = {"seed": self.seed, "size": live.size, "spp": live.spp, "crop": live.size}
         common |= {"budget": live.budget, "variant": live.variant}
@@ -66,5 +66,5 @@ class LiveViews:
             except RejectedError:
                 continue
             self.lines.append(line)
-            return View(line, tensors.__getitem__, 0)
+            return Window(line, tensors.__getitem__, 0)
         raise AssertionError  # count() does not end

@@ -1,0 +1,1 @@
+"""Views as training data: scenes traced, stored, checked and shown."""

@@ -1,0 +1,1 @@
+"""Training: presets, batches of views, the task, its checkpoints."""

@@ -1,0 +1,185 @@
+"""Windows of views that samples were kept of, as they are read to train or to validate on."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from ..dataset import store
+from ..dataset.clean import cleaned
+from ..dataset.store import Line, Store
+from ..files import write_whole
+from ..networks.batch import Batch, Inputs
+from .frames import collate, frame_inputs
+
+SAMPLE_NAMES = tuple(f"samples.{n}" for n in ("radiance", "diffuse", "diffuse.albedo", "albedo", "normal", "depth"))
+REFERENCE_NAMES = ("reference.color", "reference.diffuse", "reference.diffuse.albedo")
+
+
+class Stored:
+    """The windows of a data set; called with a step, gives those to train on, whatever the step.
+
+    Raises ValueError where the data set has none to train or to validate on.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.store = Store(folder)
+        self.lines = self.store.lines
+        self.train = self._split("train")
+
+    def held_out(self) -> list[Window]:
+        """The windows to validate on."""
+        return self._split("val")
+
+    def _split(self, name: str) -> list[Window]:
+        lines = self.store.split(name)
+        if not lines:
+            raise ValueError(
+                f"{self.store.folder} has no view of split '{name}': at random one scene in ten is 'val', the others "
+                "'train'; render some 30 scenes with 'pathfold-train render'"
+            )
+        return [
+            Window(line, partial(self.store.tensor, line["id"]), n, store.cleaned_path(self.store.folder, line, n))
+            for line in lines
+            for n in range(len(line["crops"]))
+        ]
+
+    def __call__(self, step: int) -> list[Window]:
+        return self.train
+
+
+class Window:
+    """A window of a view that samples were kept of. `tensor` gives the view's tensors by name; what is cut is read.
+
+    `kept` is the file that its cleaned reference is kept in.
+    """
+
+    def __init__(self, line: Line, tensor: Callable[[str], Any], number: int, kept: Path | None = None) -> None:
+        self.tensor, self.number, self.scene, self.kept = tensor, number, str(line["scene"]), kept
+        self.samples: int = line["spp"]
+        self.described: int = line.get("described") or self.samples  # data sets kept all paths at first
+        self.side = line["crop"]
+        self.top, self.left = line["crops"][number]
+        self.exposure, self.depth_scale = line["exposure"], line["depth_scale"]
+
+    @cached_property
+    def cumulative(self) -> NDArray[np.float64]:
+        weight = self.tensor("importance")[self.top : self.top + self.side, self.left : self.left + self.side]
+        whole = weight.astype(np.float64).ravel()
+        return np.cumsum(whole / whole.sum())
+
+    def halves(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The window's reference [3, H, W] twice, of independent samples."""
+        y, x = slice(self.top, self.top + self.side), slice(self.left, self.left + self.side)
+        a, b = (np.nan_to_num(self.tensor(f"reference.half_{name}.color")[:, y, x], posinf=0.0) for name in "ab")
+        return a, b
+
+    @cached_property
+    def cleaned(self) -> Tensor:
+        """The window's reference [3, H, W] by clean.cleaned; takes a third of a second for 128 x 128 pixels.
+
+        It is kept beside the data set's files, and in memory.
+        """
+        if self.kept:
+            with suppress(OSError, EOFError, ValueError):  # one that is gone or damaged is made again
+                kept = np.load(self.kept)
+                if kept.shape == (3, self.side, self.side):
+                    return torch.from_numpy(kept)
+        a, b = self.halves()
+        albedo, normal = (
+            np.nan_to_num(self.tensor(f"samples.{name}")[self.number].astype(np.float32).mean(0), posinf=0.0)
+            for name in ("albedo", "normal")
+        )
+        result = cleaned(a, b, albedo, normal, self.exposure)
+        if self.kept:
+            content = io.BytesIO()
+            np.save(content, result)
+            with suppress(OSError):  # a data set that cannot be written to is cleaned by every run
+                write_whole(self.kept, content.getvalue())
+        return torch.from_numpy(result)
+
+    @cached_property
+    def albedo_sum(self) -> Tensor:
+        """Sum of all samples' albedo [3, H, W], float32; reads them all, once."""
+        stored = self.tensor("samples.albedo")
+        total = torch.zeros(3, self.side, self.side)
+        for sample in range(self.samples):
+            total += torch.nan_to_num(torch.from_numpy(stored[self.number, sample]), 0.0, 0.0, 0.0)
+        return total
+
+    def corner(self, size: int, rng: np.random.Generator) -> tuple[int, int]:
+        """Top left of a crop whose centre is drawn by importance, moved inside the window."""
+        pixel = int(np.searchsorted(self.cumulative, rng.random()))
+        y, x = divmod(min(pixel, self.side**2 - 1), self.side)
+        most = max(0, self.side - size)
+        return int(np.clip(y - size // 2, 0, most)), int(np.clip(x - size // 2, 0, most))
+
+    def subset(self, count: int, paths: int, rng: np.random.Generator) -> NDArray[np.intp]:
+        """Numbers of `count` samples, any subset; paths are stored of the first `paths`, or of as many as can be."""
+        head = rng.choice(self.described, min(count, paths, self.described), replace=False)
+        others = np.setdiff1d(np.arange(self.samples), head)
+        return np.concatenate([head, rng.choice(others, count - len(head), replace=False)])
+
+    def crop(self, y: int, x: int, size: int, numbers: NDArray[np.intp], paths: int) -> tuple[Inputs, Inputs]:
+        """Samples by number and references of the crop: tensors S x C x h x w and C x h x w, float32.
+
+        Path descriptors are read of the first `paths` of `numbers`, or of as many of these as they are stored of, and
+        stay float16. Non-finite samples count as black.
+        """
+        inside = slice(y, min(y + size, self.side)), slice(x, min(x + size, self.side))
+        whole = [slice(s.start + o, s.stop + o) for s, o in zip(inside, (self.top, self.left), strict=True)]
+        described = numbers[: np.cumprod(numbers < self.described).sum()][:paths]
+
+        def read(name: str, chosen: NDArray[np.intp]) -> Tensor:
+            stored = self.tensor(name)  # indexed by one number at a time: safetensors takes no lists
+            values = np.stack([stored[self.number, int(sample), :, *inside] for sample in chosen])
+            return torch.nan_to_num(torch.from_numpy(values), 0.0, 0.0, 0.0)
+
+        inputs = {name: read(name, numbers).float() for name in SAMPLE_NAMES}
+        if len(described):
+            inputs["samples.descriptor"] = read("samples.descriptor", described)
+            inputs["samples.density"] = read("samples.density", described)
+        reference = {
+            name.removeprefix("reference."): torch.nan_to_num(
+                torch.from_numpy(self.tensor(name)[:, *whole]), 0.0, 0.0, 0.0
+            )
+            for name in REFERENCE_NAMES
+        }
+        return inputs, reference
+
+    def albedo(self, y: int, x: int, own: Tensor) -> Tensor:
+        """Mean albedo [3, h, w] of a crop over all samples but its `own`, S x 3 x h x w; NaN if these are over half."""
+        if 2 * len(own) > self.samples:
+            return torch.full(own.shape[1:], math.nan)
+        others = self.albedo_sum[:, y : y + own.shape[2], x : x + own.shape[3]] - own.sum(0)
+        return others.clamp(min=0.0) / (self.samples - len(own))
+
+
+class ValidationViews(Dataset):
+    """Whole held-out windows, a Batch each: `spp` samples or all there are, all inputs; `paths` as of Crops.
+
+    References have `half_a` and `half_b` too.
+    """
+
+    def __init__(self, views: Sequence[Window], paths: int, spp: int = 8) -> None:
+        self.views, self.paths, self.spp = views, paths, spp
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def __getitem__(self, index: int) -> Batch:
+        view = self.views[index]
+        samples, reference = view.crop(0, 0, view.side, np.arange(min(self.spp, view.samples)), self.paths)
+        reference |= {f"half_{name}": torch.from_numpy(h) for name, h in zip("ab", view.halves(), strict=True)}
+        return collate([(frame_inputs(samples, view.exposure, view.depth_scale), reference)])
