@@ -2,7 +2,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 PYTHON := .venv/bin/python
 WORKERS ?= 2 # test processes; each may hold torch and Mitsuba
-CXX_SOURCES = $(shell find sdk python/bindings -name '*.cpp' -o -name '*.hpp' -o -name '*.h' -o -name '*.c')
+CXX_SOURCES = $(shell find sdk python/bindings training/bindings -name '*.cpp' -o -name '*.hpp' -o -name '*.h' -o -name '*.c')
 PY_SOURCES = python training tests tools benchmarks
 
 .PHONY: help setup build demo test test-long sanitize lint format wheel lock clean

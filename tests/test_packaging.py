@@ -16,6 +16,7 @@ USE = """
 import importlib.util, sys
 import numpy as np
 import pathfold
+import pathfold_training._taps
 from importlib.resources import files
 
 for absent in ("torch", "mitsuba", "lightning"):

@@ -50,19 +50,3 @@ def set_onnxruntime(path: str) -> None: ...
 def find_model(name: str, extra_dirs: Sequence[str] = ()) -> str: ...
 def auto_exposure(color: NDArray[np.float32] | NDArray[np.float16]) -> float: ...
 def gather(image: NDArray[np.float32] | NDArray[np.float16], logits: NDArray[np.float32]) -> NDArray[np.float32]: ...
-def sum_taps(
-    logits: NDArray[np.float32],
-    first: int,
-    source: NDArray[np.float32],
-    offsets: Sequence[tuple[int, int]],
-    threads: int,
-) -> NDArray[np.float32]: ...
-def spread_taps(
-    logits: NDArray[np.float32],
-    first: int,
-    source: NDArray[np.float32],
-    gradient: NDArray[np.float32],
-    of_logits: NDArray[np.float32],
-    offsets: Sequence[tuple[int, int]],
-    threads: int,
-) -> NDArray[np.float32]: ...

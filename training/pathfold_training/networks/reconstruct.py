@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as functional
-from pathfold import _core
 from torch import Tensor
 from torch.autograd.function import FunctionCtx, once_differentiable
+
+from .. import _taps
 
 STRIP_TAPS = 1 << 25  # taps per strip: bounds the memory of the unfolded patches
 
@@ -174,14 +175,14 @@ class _WeighTaps(torch.autograd.Function):
 
 
 class _LevelSums(torch.autograd.Function):
-    """level_sums on a CPU, by python/bindings/taps.h."""
+    """level_sums on a CPU, by training/bindings/taps.h."""
 
     @staticmethod
     def forward(ctx: FunctionCtx, logits: Tensor, *padded: Tensor) -> tuple[Tensor, ...]:
         ctx.save_for_backward(logits, *padded)
         first, sums = 0, []
         for values, taps in zip(padded, TAPS, strict=False):
-            part = _core.sum_taps(logits.numpy(), first, values.numpy(), taps, torch.get_num_threads())
+            part = _taps.sum_taps(logits.numpy(), first, values.numpy(), taps, torch.get_num_threads())
             sums.append(torch.from_numpy(part))
             first += len(taps)
         return tuple(sums) if len(sums) == 1 else (*sums, logits[:, first:].clone())
@@ -193,7 +194,7 @@ class _LevelSums(torch.autograd.Function):
         first, of_logits, of_values = 0, torch.empty_like(logits), []
         for values, taps, gradient in zip(padded, TAPS, gradients, strict=False):
             given = (logits.numpy(), first, values.numpy(), gradient.contiguous().numpy(), of_logits.numpy())
-            of_values.append(torch.from_numpy(_core.spread_taps(*given, taps, torch.get_num_threads())))
+            of_values.append(torch.from_numpy(_taps.spread_taps(*given, taps, torch.get_num_threads())))
             first += len(taps)
         if len(padded) == 2:
             of_logits[:, first:] = gradients[2]
