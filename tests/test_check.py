@@ -22,7 +22,7 @@ from pathfold.check.outcome import Row, factor_limits
 from pathfold.check.prepare import Branch, Prepared, auto_exposure, prepare, window_limits
 from pathfold.check.properties import PROPERTIES, gather
 from pathfold.cli import app, console
-from pathfold.denoising import Denoiser
+from pathfold.denoiser import Denoiser
 
 SHIPPED = models.available(models.shipped_directories())
 FRAME = "5b7b5151fa5469d1c4547562327586f05722a53b9da48cf3f5c5dc34a03a9370"

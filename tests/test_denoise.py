@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pathfold
 import pytest
-from pathfold.denoising import as_array
+from pathfold.arguments import as_array
 
 H, W, S = 20, 28, 3
 

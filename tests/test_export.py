@@ -16,7 +16,7 @@ from pathfold.check.measure import relative_error, tolerance
 from pathfold.check.properties import Subject
 from pathfold.check.references import References
 from pathfold.check.run import case_row
-from pathfold.denoising import Denoiser
+from pathfold.denoiser import Denoiser
 from pathfold.report.measure import Measurement
 from pathfold_training.fit.preset import Config, Data, Optimiser
 from pathfold_training.fit.task import Denoising

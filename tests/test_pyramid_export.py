@@ -13,7 +13,7 @@ import pytest
 import torch
 from pathfold.check import check_model
 from pathfold.check.measure import drift, relative_error, tolerance
-from pathfold.denoising import Denoiser
+from pathfold.denoiser import Denoiser
 from pathfold_training.fit.preset import Config, Data, Optimiser
 from pathfold_training.fit.task import Denoising
 from pathfold_training.fit.train import fit

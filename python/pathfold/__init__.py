@@ -8,13 +8,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pathfold._core import PathfoldError, version
     from pathfold.budget import Budget
-    from pathfold.denoising import Denoiser, PathfoldError, Result, auto_exposure, denoise, version
+    from pathfold.denoiser import Denoiser, Result, auto_exposure
+    from pathfold.denoising import denoise
 
 # Nothing is imported before it is used, so that `import pathfold` costs a few milliseconds.
-_HOMES = dict.fromkeys(
-    ("Denoiser", "PathfoldError", "Result", "auto_exposure", "denoise", "version"), "pathfold.denoising"
-) | {"Budget": "pathfold.budget"}
+_HOMES = {
+    "Budget": "pathfold.budget",
+    "Denoiser": "pathfold.denoiser",
+    "PathfoldError": "pathfold._core",
+    "Result": "pathfold.denoiser",
+    "auto_exposure": "pathfold.denoiser",
+    "denoise": "pathfold.denoising",
+    "version": "pathfold._core",
+}
 _MODULES = ("channels", "images", "metrics", "models")
 
 __all__ = ["Budget", "Denoiser", "PathfoldError", "Result", "auto_exposure", "denoise", "version"]

@@ -14,7 +14,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from pathfold import memory, models
-from pathfold.denoising import Denoiser, Result, failure
+from pathfold.arguments import failure
+from pathfold.denoiser import Denoiser, Result
 
 # The best first, by the errors in docs/results/validation-8spp; another model takes part where it is named.
 PREFERRED = ("pathfold-balanced", "pathfold-high", "pathfold-fast", "kpcn-manifold", "kpcn-vanilla", "kpcn-path")

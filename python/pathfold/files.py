@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pathfold import channels
 from pathfold.budget import Budget
 from pathfold.channels import BUFFERS, Frame, samples
-from pathfold.denoising import Denoiser, Result
+from pathfold.denoiser import Denoiser, Result
 from pathfold.images import ImageError, ImageFile, Layer
 
 _DISPLAY_REFERRED = ("uint8", "int8", "uint16", "int16")

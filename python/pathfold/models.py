@@ -9,6 +9,9 @@ import os
 from pathlib import Path
 from typing import Any
 
+from pathfold import _core
+from pathfold.arguments import failure
+
 ALL_SAMPLES = 1 << 30  # more than any pixel has
 DEFAULT = "pathfold-balanced"  # a third of the time of kpcn-vanilla, the other one that needs nothing but color
 
@@ -41,8 +44,6 @@ def find(name: str | os.PathLike[str]) -> Path:
 
     Raises PathfoldError ("not-found") that lists what there is.
     """
-    from pathfold import _core
-
     return Path(_core.find_model(os.fspath(name), [os.fspath(folder) for folder in shipped_directories()]))
 
 
@@ -51,8 +52,6 @@ def manifest(name: str | os.PathLike[str]) -> dict[str, Any]:
 
     Raises PathfoldError ("not-found", "invalid-model").
     """
-    from pathfold.denoising import failure
-
     path = find(name) / "manifest.json"
     try:
         loaded = json.loads(path.read_text(encoding="utf-8"))
@@ -67,8 +66,6 @@ def manifest(name: str | os.PathLike[str]) -> dict[str, Any]:
 
 def precisions(name: str | os.PathLike[str]) -> list[str]:
     """The precisions that a model can run in, "fp32" first. Raises PathfoldError as `manifest` does."""
-    from pathfold.denoising import failure
-
     variants = manifest(name).get("variants", {})
     if not isinstance(variants, dict):
         raise failure("invalid-model", f"{find(name) / 'manifest.json'}: `variants` is no object of precisions")

@@ -9,7 +9,7 @@ import numpy as np
 
 from pathfold.check.measure import SMALLEST, relative_error, tolerance
 from pathfold.check.prepare import Array, Branch, Prepared, window_limits
-from pathfold.denoising import Result
+from pathfold.denoiser import Result
 
 CLEANING_RADIUS = 14  # pixels that a pyramid of three levels reaches: two of its coarsest cells, and 6 by upsampling
 

@@ -19,7 +19,7 @@ from pathfold.check.cases import RADIANCE, Buffers, Draw
 from pathfold.check.measure import tolerance
 from pathfold.check.outcome import Row
 from pathfold.check.prepare import prepare
-from pathfold.denoising import Denoiser
+from pathfold.denoiser import Denoiser
 
 THICKNESS = 12  # pixels across the long frames that reach beyond a receptive field
 

@@ -72,7 +72,7 @@ def denoise(
     buffers = parse_map(mapping or [])
     pairs = expand(source, output)
     from pathfold.budget import Budget
-    from pathfold.denoising import Denoiser
+    from pathfold.denoiser import Denoiser
     from pathfold.files import denoise_file
     from pathfold.images import check_output
 

@@ -52,7 +52,7 @@ def render(
     """
     from pathfold import models, needs, version
     from pathfold.channels import ALL_LIGHT
-    from pathfold.denoising import Denoiser
+    from pathfold.denoiser import Denoiser
     from pathfold.images import OutputError, check_output
     from pathfold.rendering import Camera, check_samples, write
 

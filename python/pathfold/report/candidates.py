@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold import models
-from pathfold.denoising import failure
+from pathfold.arguments import failure
 from pathfold.report import peers
 
 NOISY = "noisy"
@@ -106,7 +106,7 @@ def _peer(name: str) -> Candidate:
 
 
 def _model(folder: Path, precision: str) -> Run:
-    from pathfold.denoising import Denoiser
+    from pathfold.denoiser import Denoiser
 
     denoiser = Denoiser(folder, precision=precision)
     return lambda buffers, exposure, spp: denoiser.run_buffers(buffers, exposure=exposure, samples_per_pixel=spp).color
