@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pages
 from pathfold import memory
-from pathfold.channels import BUFFERS
+from pathfold.buffers import BUFFERS
 from pathfold.report import candidates, cold
 from pathfold.report.candidates import PEERS
 from pathfold.report.summary import markdown

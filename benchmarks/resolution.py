@@ -22,7 +22,7 @@ import numpy as np
 import pages
 from numpy.typing import NDArray
 from pathfold import metrics
-from pathfold.channels import BUFFERS
+from pathfold.buffers import BUFFERS
 from pathfold.images import replacing
 from pathfold.rendering import Camera
 from pathfold.report import candidates, peers, subjects

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from pathfold import channels
 from pathfold.budget import Budget
-from pathfold.channels import BUFFERS, Frame, samples
+from pathfold.buffers import BUFFERS
+from pathfold.channels import Frame, samples
 from pathfold.denoiser import Denoiser, Result
 from pathfold.images import ImageError, ImageFile, Layer
 

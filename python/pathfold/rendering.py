@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pathfold.channels import BUFFERS
+from pathfold.buffers import BUFFERS
 from pathfold.channels import samples as sample_names
 from pathfold.images import MAX_CHANNELS, NewPart, OutputError, write_parts
 from pathfold.models import ALL_SAMPLES

@@ -77,6 +77,7 @@ def reconstruction(block: dict[str, Any]) -> str:
 def picture(path: Path) -> Iterator[str]:
     """The parts and layers of a file and the buffers that they would be."""
     from pathfold import channels
+    from pathfold.buffers import BUFFERS
     from pathfold.channels import samples
     from pathfold.images import ImageError, ImageFile
 
@@ -95,7 +96,7 @@ def picture(path: Path) -> Iterator[str]:
     try:
         for frame in channels.match(file):
             yield from frame_lines(path, frame)
-            if absent := [buffer for buffer in channels.BUFFERS if buffer not in frame.sources]:
+            if absent := [buffer for buffer in BUFFERS if buffer not in frame.sources]:
                 yield f"  not found: {', '.join(absent)}"
     except ImageError as error:
         yield str(error)

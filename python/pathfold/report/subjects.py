@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pathfold import channels
+from pathfold.buffers import BUFFERS
 from pathfold.channels import samples
 from pathfold.images import ImageError, ImageFile
 from pathfold.rendering import Camera
@@ -139,7 +140,7 @@ class MitsubaSubject:
     _warm: tuple[int, tuple[int, int]] | None = None  # frame and size
 
     def _trace(self, spp: int, seed: int, recorded: int) -> Buffers:
-        wanted = {*channels.BUFFERS, *({"samples.descriptor", "samples.density"} if recorded else ())}
+        wanted = {*BUFFERS, *({"samples.descriptor", "samples.density"} if recorded else ())}
         buffers, block, _ = self._camera.trace(spp, seed, self._max_depth, None, wanted, lambda done: None, recorded)
         return {**buffers, **{f"samples.{name}": pixels for name, pixels in block.items()}}
 
