@@ -22,9 +22,9 @@ import numpy as np
 import pages
 from numpy.typing import NDArray
 from pathfold import metrics
-from pathfold.report import candidates, peers, subjects
-from pathfold.report.candidates import Candidate, Run
-from pathfold.report.reference import Reference
+from pathfold.bench import candidates, peers, subjects
+from pathfold.bench.candidates import Candidate, Run
+from pathfold.bench.reference import Reference
 from pathfold.report.summary import markdown
 
 

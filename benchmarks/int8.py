@@ -19,8 +19,8 @@ import numpy as np
 import pages
 from onnxruntime import InferenceSession, SessionOptions
 from pathfold import models
-from pathfold.report import candidates
-from pathfold.report.results import geometric
+from pathfold.bench import candidates
+from pathfold.bench.results import geometric
 from pathfold.report.summary import markdown
 from pathfold_training.fit.views import Stored, ValidationViews
 from pathfold_training.release.quantise import CROPS, FILE, Feeds, network_feeds, quantised_copy, ratios, trained_as

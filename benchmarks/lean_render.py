@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import pages
 from pathfold import Denoiser, models, needs
+from pathfold.bench import candidates
 from pathfold.rendering import Camera
-from pathfold.report import candidates
 from pathfold.report.summary import markdown
 
 SEED, MAX_DEPTH = 1, 8

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pages
 from pathfold import Denoiser
-from pathfold.report import candidates
+from pathfold.bench import candidates
 from pathfold.report.summary import markdown
 
 TILE = 64

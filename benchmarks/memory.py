@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import pages
 from pathfold import memory
+from pathfold.bench import candidates, cold
+from pathfold.bench.candidates import PEERS
 from pathfold.buffers import BUFFERS
-from pathfold.report import candidates, cold
-from pathfold.report.candidates import PEERS
 from pathfold.report.summary import markdown
 
 MEBIBYTE = 2**20

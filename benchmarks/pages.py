@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from pathfold import models
+from pathfold.bench.candidates import NOISY, PEERS, Candidate
+from pathfold.bench.machine import machine
 from pathfold.images import replacing
-from pathfold.report.candidates import NOISY, PEERS, Candidate
-from pathfold.report.machine import machine
 
 RESULTS = Path("docs/results")
 DIGITS = 6  # significant ones of what was measured

@@ -32,11 +32,11 @@ import numpy as np
 import pages
 from numpy.typing import NDArray
 from pathfold import metrics
+from pathfold.bench import candidates, peers, subjects
+from pathfold.bench.reference import Reference
+from pathfold.bench.results import geometric
 from pathfold.images import replacing
 from pathfold.models import ALL_SAMPLES
-from pathfold.report import candidates, peers, subjects
-from pathfold.report.reference import Reference
-from pathfold.report.results import geometric
 from pathfold.report.summary import markdown
 from scipy.ndimage import uniform_filter
 

@@ -22,13 +22,13 @@ import numpy as np
 import pages
 from numpy.typing import NDArray
 from pathfold import metrics
+from pathfold.bench import candidates, peers, subjects
+from pathfold.bench.candidates import NOISY, PEERS, Candidate, Run
+from pathfold.bench.results import FLOOR, geometric
 from pathfold.buffers import BUFFERS
 from pathfold.images import replacing
+from pathfold.pixels import jpeg
 from pathfold.rendering import Camera
-from pathfold.report import candidates, peers, subjects
-from pathfold.report.candidates import NOISY, PEERS, Candidate, Run
-from pathfold.report.picture import jpeg
-from pathfold.report.results import FLOOR, geometric
 from pathfold.report.summary import markdown
 
 SHOWN = (NOISY, "oidn", "pathfold-balanced")  # of a picture; then the reference

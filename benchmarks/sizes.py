@@ -19,7 +19,7 @@ import numpy as np
 import pages
 import torch
 from pathfold import Denoiser
-from pathfold.report.peers import oidn
+from pathfold.bench.peers import oidn
 from pathfold.report.summary import markdown
 from pathfold_training.fit.preset import load_preset
 from pathfold_training.fit.task import Denoising

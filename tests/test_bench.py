@@ -17,12 +17,15 @@ pytest.importorskip("skimage")
 pytest.importorskip("pyoidn")
 
 from pathfold import PathfoldError, metrics
+from pathfold.bench import candidates, cold, results, subjects
+from pathfold.bench.measurement import Measurement
+from pathfold.bench.reference import Reference
+from pathfold.bench.run import Job, _events
+from pathfold.bench.timing import in_turns
 from pathfold.cli import app, console
 from pathfold.cli.bench import without_place
 from pathfold.images import ImageError
-from pathfold.report import answers, bench, candidates, cold, curves, prediction, results, subjects, summary, versus
-from pathfold.report.measure import Measurement, in_turns
-from pathfold.report.reference import Reference
+from pathfold.report import answers, curves, prediction, summary, versus
 
 TINY = Path(__file__).parent / "assets" / "library" / "tiny"
 
@@ -359,9 +362,9 @@ def test_wrong_arguments(run, tmp_path: Path, arguments: list[str], code: int, w
 
 def test_a_process_that_dies_costs_its_scene_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     subject = subjects.MitsubaSubject(TINY / "scene.xml", "tiny", subjects.Options(spps=(1,), seeds=1))
-    job = bench.Job(subject, {(1, 0): ["noisy"]}, ("noisy",), tmp_path, "now")
-    monkeypatch.setattr(bench, "_work", dies)
-    *_, problem, last = list(bench._events(job))
+    job = Job(subject, {(1, 0): ["noisy"]}, ("noisy",), tmp_path, "now")
+    monkeypatch.setattr("pathfold.bench.run._work", dies)
+    *_, problem, last = list(_events(job))
     assert "exit code 7" in str(problem) and last.work == job.work
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from pathfold.bench.reference import Reference
 from pathfold.models import ALL_SAMPLES
-from pathfold.report.reference import Reference
 from pathfold_training.dataset.store import Store
 from pathfold_training.fit.preset import Data, Optimiser, load_preset
 from pathfold_training.fit.views import ValidationViews, Window

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from exr_files import noise, part, write
 from pathfold import Budget, Denoiser, PathfoldError, budget, denoise, memory
+from pathfold.bench.results import geometric
 from pathfold.cli import app, console
-from pathfold.report.results import geometric
 
 PLENTY = 1e5
 SIZES = [(7, 4, 4), (100, 64, 16), (64, 64, 112), (1, 4, 68), (130, 40, 0)]

@@ -10,6 +10,7 @@ import numpy as np
 import onnxruntime
 import pytest
 import torch
+from pathfold.bench.measurement import Measurement
 from pathfold.check import check_model, references
 from pathfold.check.cases import CASES
 from pathfold.check.measure import relative_error, tolerance
@@ -17,7 +18,6 @@ from pathfold.check.properties import Subject
 from pathfold.check.references import References
 from pathfold.check.run import case_row
 from pathfold.denoiser import Denoiser
-from pathfold.report.measure import Measurement
 from pathfold_training.fit.preset import Config, Data, Optimiser
 from pathfold_training.fit.task import Denoising
 from pathfold_training.fit.train import fit

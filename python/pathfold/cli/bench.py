@@ -11,7 +11,7 @@ from pathfold.cli import console
 from pathfold.cli.console import InputError
 
 if TYPE_CHECKING:
-    from pathfold.report.bench import Problem, Progress
+    from pathfold.bench.run import Problem, Progress
 
 
 def without_place(argument: str) -> str:
@@ -46,8 +46,8 @@ def bench(
     Scenes are rendered here; a reference.exr beside a scene is used, else one is rendered. A folder of EXRs needs a
     reference.exr. What DIR holds already is kept, so the same command goes on after an interruption.
     """
-    from pathfold.report import bench as benching
-    from pathfold.report import candidates, outcome, subjects
+    from pathfold.bench import candidates, run, subjects
+    from pathfold.report import outcome
 
     check_packages()
     options = subjects.Options(
@@ -55,7 +55,7 @@ def bench(
         seeds=seeds,
         reference_spp=reference_spp,
         reference_seconds=reference_seconds,
-        references=out / benching.REFERENCES,
+        references=out / run.REFERENCES,
     )
     names = [name.strip() for name in methods.split(",") if name.strip()] if methods else candidates.default_arguments()
     if not names:
@@ -65,13 +65,13 @@ def bench(
         found = subjects.find_all(scenes, options)
     except subjects.SubjectError as error:
         raise InputError(str(error)) from error
-    benching.make_folder(out)
-    pictures = out / benching.PICTURES
+    run.make_folder(out)
+    pictures = out / run.PICTURES
     try:
         with Report(quiet) as report:
-            measurements, problems = benching.measure(found, chosen, out, pictures, report.tell)
+            measurements, problems = run.measure(found, chosen, out, pictures, report.tell)
     except KeyboardInterrupt:
-        said = f"interrupted; what was measured is in {out / benching.RESULTS}: the same command goes on"
+        said = f"interrupted; what was measured is in {out / run.RESULTS}: the same command goes on"
         raise console.StoppedError(said) from None
     if not measurements:
         raise InputError(f"nothing could be measured: {problems[0] if problems else 'there is no scene'}")
@@ -110,7 +110,7 @@ class Report:
         self._bar.stop()
 
     def tell(self, event: "Progress | Problem", total: float) -> None:
-        from pathfold.report.bench import Problem
+        from pathfold.bench.run import Problem
 
         if isinstance(event, Problem):
             console.complain(f"left out: {event}")

@@ -19,8 +19,8 @@ def compare(
 
     Where the reference holds two independent halves (half_a, half_b), RelL2 leaves out its own noise.
     """
+    from pathfold.bench.reference import Reference, beauty
     from pathfold.images import ImageFile
-    from pathfold.report.reference import Reference, beauty
 
     x, r = beauty(ImageFile(image)), Reference.read(reference)
     if x.shape != r.mean.shape:

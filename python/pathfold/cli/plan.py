@@ -140,7 +140,7 @@ def figure(value: float, digits: int = 2) -> str:
 
 
 def engine(method: str) -> str:
-    from pathfold.report.candidates import NOISY, PEERS
+    from pathfold.bench.candidates import NOISY, PEERS
 
     return "" if method == NOISY else "OIDN" if method in PEERS else "onnxruntime"
 

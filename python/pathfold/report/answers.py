@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import ceil, floor, log10
 
-from pathfold.report.candidates import NOISY
+from pathfold.bench.candidates import NOISY
+from pathfold.bench.results import Point, names
 from pathfold.report.curves import Reached, best_within, error_at, time_to, timed
-from pathfold.report.results import Point, names
 
 MOST = 4  # budgets or targets in a table
 BEYOND = "\N{EM DASH}"  # not measured there; it would have to be extrapolated

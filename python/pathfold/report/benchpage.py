@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pathfold.bench.measurement import ERRORS
+from pathfold.bench.results import ALL, FLAG, Point, names
+from pathfold.pixels import jpeg
 from pathfold.report import summary
 from pathfold.report.answers import Answer
-from pathfold.report.measure import ERRORS
 from pathfold.report.page import ERROR_GAIN, data_uri, write_page
-from pathfold.report.picture import jpeg
 from pathfold.report.plots import COLORS
-from pathfold.report.results import ALL, FLAG, Point, names
 
 MOST_BYTES = 2_000_000  # of pictures, before base64
 WIDEST = 960  # wider pictures are halved until they fit
@@ -33,7 +33,7 @@ def save(
     notes: Sequence[str],
     facts: Mapping[str, str],
 ) -> None:
-    """Write the page. `means` may be empty (one scene); `pictures` is what bench.keep_pictures filled."""
+    """Write the page. `means` may be empty (one scene); `pictures` is what bench.run.keep_pictures filled."""
     shown = [*means, *points] if len(names(points, "scene")) > 1 else list(points)
     views, left_out = choose(points, pictures)
     if left_out:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import exp, log
 
-from pathfold.report.results import FLOOR, Point
+from pathfold.bench.results import FLOOR, Point
 
 
 def timed(points: Sequence[Point], metric: str = "rell2") -> list[tuple[float, float, Point]]:

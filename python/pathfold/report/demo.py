@@ -20,16 +20,17 @@ import typer
 from numpy.typing import NDArray
 
 from pathfold import Denoiser, metrics
+from pathfold.bench import peers
+from pathfold.bench.machine import machine, versions
+from pathfold.bench.reference import Reference
+from pathfold.bench.reference import render as render_reference
+from pathfold.bench.timing import in_turns
 from pathfold.cli import console
 from pathfold.cli.render import parse_size
 from pathfold.images import OutputError, check_writable
 from pathfold.models import path_samples
 from pathfold.rendering import load_mitsuba
-from pathfold.report import Method, page, peers, picture, tables
-from pathfold.report.machine import machine, versions
-from pathfold.report.measure import in_turns
-from pathfold.report.reference import Reference
-from pathfold.report.reference import render as render_reference
+from pathfold.report import Method, page, picture, tables
 
 DEFAULT = "pathfold-balanced"
 MODELS = ("kpcn-manifold", "pathfold-fast", DEFAULT, "pathfold-high")

@@ -3,18 +3,18 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from pathfold.bench.measurement import Measurement
+from pathfold.bench.results import ALL, Point, names, over_scenes, points
+from pathfold.bench.run import Problem
 from pathfold.images import replacing
 from pathfold.report import benchpage, plots, prediction, summary, versus
 from pathfold.report.answers import Answer, answers
-from pathfold.report.bench import Problem
-from pathfold.report.measure import Measurement
-from pathfold.report.results import ALL, Point, names, over_scenes, points
 
 
 def write(
     out: Path, measurements: Sequence[Measurement], problems: Sequence[Problem], command: str, pictures: Path
 ) -> None:
-    """Write all of them into `out`; `command` is what made them, `pictures` where bench.keep_pictures put its files."""
+    """Write all of them into `out`; `command` is what made them, `pictures` where run.keep_pictures put its files."""
     scenes = names(measurements, "scene")
     at, means = points(measurements), over_scenes(measurements) if len(scenes) > 1 else []
     own = {m.scene: m.reference_rell2 for m in measurements}

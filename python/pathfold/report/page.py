@@ -8,9 +8,10 @@ from typing import Any
 
 from pathfold import metrics
 from pathfold.images import replacing
+from pathfold.pixels import png
 from pathfold.report import tables
 from pathfold.report.method import METRICS, Method, best
-from pathfold.report.picture import caption_of, png
+from pathfold.report.picture import caption_of
 
 ERROR_GAIN = 4  # FLIP errors of denoised pictures are small; the map is white from 1/4 on
 

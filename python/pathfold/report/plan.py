@@ -7,11 +7,13 @@ from pathlib import Path
 from statistics import median
 
 from pathfold import metrics
-from pathfold.report import candidates, results
-from pathfold.report.candidates import NOISY, Candidate, Run
-from pathfold.report.measure import Buffers, Image, in_turns
+from pathfold.bench import candidates, results
+from pathfold.bench.candidates import NOISY, Candidate, Run
+from pathfold.bench.contest import Image
+from pathfold.bench.shot import Buffers
+from pathfold.bench.subjects import MitsubaSubject, Options
+from pathfold.bench.timing import in_turns
 from pathfold.report.prediction import Pilot, Prediction, Sample, between, noises, predict
-from pathfold.report.subjects import MitsubaSubject, Options
 
 PIXELS = 320 * 180  # of a pilot
 SPP = 8  # of a pilot; the measured one next to it

@@ -13,10 +13,10 @@ from math import ceil, exp, inf, log
 from pathlib import Path
 from statistics import fmean
 
+from pathfold.bench import results
+from pathfold.bench.candidates import NOISY
+from pathfold.bench.measurement import Measurement
 from pathfold.images import ImageError, replacing
-from pathfold.report import results
-from pathfold.report.candidates import NOISY
-from pathfold.report.measure import Measurement
 
 FILE = "curves.json"
 SHARE = 0.8  # of new scenes that an interval is to hold

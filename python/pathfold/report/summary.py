@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Sequence
 
-from pathfold.report.measure import Measurement
-from pathfold.report.results import FLAG, Point, names, over_scenes, points
+from pathfold.bench.measurement import Measurement
+from pathfold.bench.results import FLAG, Point, names, over_scenes, points
 
 HEADER = (
     "method",

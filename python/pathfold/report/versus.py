@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from pathfold.report.candidates import NOISY, PEERS
+from pathfold.bench.candidates import NOISY, PEERS
+from pathfold.bench.measurement import Measurement
+from pathfold.bench.results import Point, geometric, names, points
 from pathfold.report.curves import Reached, error_at, timed
-from pathfold.report.measure import Measurement
-from pathfold.report.results import Point, geometric, names, points
 from pathfold.report.summary import Table
 
 METRICS = {"rell2": "RelL2", "flip": "FLIP"}

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from pathfold.bench import peers
 from pathfold.metrics import EPSILON
-from pathfold.report import peers
 
 REACH = 15  # pixels of the square over which errors are compared
 

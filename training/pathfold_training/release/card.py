@@ -7,7 +7,7 @@ from os.path import relpath
 from pathlib import Path
 from typing import Any
 
-from pathfold.report.results import geometric, read
+from pathfold.bench.results import geometric, read
 
 from ..files import read_object
 

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from pathfold.report import bench, candidates, picture, results, subjects, summary
-from pathfold.report.measure import Measurement
+from pathfold.bench import candidates, results, run, subjects
+from pathfold.bench.measurement import Measurement
+from pathfold.pixels import save_sheet
+from pathfold.report import summary
 from rich.console import Console
 from rich.progress import Progress
 
@@ -23,25 +25,25 @@ def evaluate(scenes: Path, out: Path, models: list[str], spp: int = 8, seeds: in
         raise ValueError(f"{scenes} has no folder with scene.xml and reference.exr")
     found = subjects.find_all(folders, subjects.Options(spps=(spp,), seeds=seeds))
     methods = candidates.find_all([*candidates.COMPARED, *models])
-    bench.make_folder(out)
+    run.make_folder(out)
     terminal = Console(stderr=True)
     with TemporaryDirectory(prefix="pathfold-") as folder, Progress(console=terminal) as progress:
         bar = progress.add_task("scenes")
 
-        def tell(event: bench.Progress | bench.Problem, total: float) -> None:
-            if isinstance(event, bench.Problem):
+        def tell(event: run.Progress | run.Problem, total: float) -> None:
+            if isinstance(event, run.Problem):
                 progress.console.print(f"left out: {event}", style="red", highlight=False)
             else:
                 progress.update(bar, advance=event.work, total=total, description=event.text)
 
         pictures = Path(folder)
-        rows, problems = bench.measure(found, methods, out, pictures, tell, resume=False)
+        rows, problems = run.measure(found, methods, out, pictures, tell, resume=False)
         if not rows:
             raise ValueError(f"nothing could be measured: {problems[0]}")
         for scene in results.names(rows, "scene"):
             sheet = [pictures / scene / f"{method.name}-{spp}spp.png" for method in methods]
             shown = [path for path in [*sheet, pictures / scene / "reference.png"] if path.is_file()]
-            picture.save_sheet(out / f"{scene}-{spp}spp.jpg", shown)
+            save_sheet(out / f"{scene}-{spp}spp.jpg", shown)
     (out / "table.md").write_text(table(rows, spp), encoding="utf-8")
     return rows
 

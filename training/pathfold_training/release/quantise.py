@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from onnxruntime import InferenceSession
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from pathfold import Denoiser
-from pathfold.report.results import geometric
+from pathfold.bench.results import geometric
 
 from ..fit.crops import Crops
 from ..fit.preset import Config

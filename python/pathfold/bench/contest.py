@@ -1,7 +1,7 @@
-"""One measurement: what a candidate made of a noisy frame, how far that is from the reference, and what it cost."""
+"""Candidates on the same noisy frames: their pictures, errors and times."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from statistics import fmean, median
 from time import perf_counter
 from typing import Any
@@ -10,86 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold import metrics
-from pathfold.report import cold
-from pathfold.report.candidates import NOISY, Candidate, Run
-from pathfold.report.reference import Reference
-
-ERRORS = ("rell2", "rell2_paper", "smape", "ssim", "flip")
+from pathfold.bench import cold
+from pathfold.bench.candidates import NOISY, Candidate, Run
+from pathfold.bench.reference import Reference
+from pathfold.bench.shot import Shot
+from pathfold.bench.timing import SLOW_MS, in_turns
 
 Image = NDArray[np.float32]
-Buffers = dict[str, NDArray[Any]]
-
-
-@dataclass(frozen=True)
-class Shot:
-    """A noisy frame: its buffers, and the milliseconds that each timed rendering took.
-
-    `render_ms` is by the number of samples of a pixel whose paths were recorded.
-    """
-
-    buffers: Buffers
-    spp: int
-    render_ms: Mapping[int, list[float]]
-
-    def rendering_for(self, candidate: Candidate) -> list[float]:
-        """The times of renderings that recorded what the candidate looks at."""
-        return self.render_ms.get(min(candidate.path_samples, self.spp), [])
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """One line of results.jsonl. Of a sequence, errors are means over its frames, and times too."""
-
-    scene: str
-    spp: int
-    seed: int
-    method: str
-    rell2: float  # free of the reference's own noise where it came in halves; may then be slightly negative
-    smape: float
-    ssim: float
-    flip: float
-    # Every timed run that recorded as many samples' paths as the method looks at. At later seeds a frame is rendered
-    # once, for the methods that look at most. Empty: none known.
-    render_ms: list[float]
-    denoise_ms: list[float]  # every timed run after a warm-up; empty for the noisy picture
-    rell2_paper: float | None = None
-    flicker: float | None = None  # of sequences of three frames and more
-    cold_ms: float | None = None  # of the first seed: see cold.py
-    peak_mb: float | None = None  # likewise
-    frames: int = 1
-    width: int = 0
-    height: int = 0
-    reference_spp: int | None = None
-    reference_rell2: float | None = None  # the reference's own error; None without halves
-    inputs: str = ""  # fingerprint of scene and reference
-    identity: str = ""  # fingerprint of the method
-    run: str = ""  # when the command started
-    machine: str = ""
-    versions: dict[str, str] = field(default_factory=dict)
-    commit: str | None = None
-    load: float | None = None  # of the machine in the minute before
-
-    @property
-    def key(self) -> tuple[str, int, int, str]:
-        return self.scene, self.spp, self.seed, self.method
-
-    def record(self) -> dict[str, Any]:
-        return asdict(self)
-
-
-def in_turns(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> dict[Any, list[float]]:
-    """Milliseconds of every run; the calls take turns, so that a busy moment hits all alike."""
-    took: dict[Any, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            start = perf_counter()
-            call()
-            took[name].append(1000 * (perf_counter() - start))
-    return took
-
-
-SLOW_MS = 2000  # what takes longer is timed once per seed: its spread is small, and its time is not
-
 Size = tuple[str, frozenset[tuple[int, ...]]]  # a candidate, the shapes of its inputs
 
 

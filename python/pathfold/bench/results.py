@@ -8,8 +8,8 @@ from statistics import fmean, median
 
 import numpy as np
 
+from pathfold.bench.measurement import ERRORS, Measurement
 from pathfold.images import ImageError, replacing
-from pathfold.report.measure import ERRORS, Measurement
 
 ALL = "geometric mean"  # stands for a scene where points are means over scenes
 FLAG = 20  # a best method within so many times the reference's own error is flagged

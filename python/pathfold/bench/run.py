@@ -17,12 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold import auto_exposure, metrics
+from pathfold.bench import candidates, machine, peers, results
+from pathfold.bench.candidates import Candidate, Run
+from pathfold.bench.contest import Contest, Known
+from pathfold.bench.measurement import Measurement
+from pathfold.bench.reference import Reference, shared_exposure
+from pathfold.bench.subjects import Subject
 from pathfold.images import OutputError, check_writable
-from pathfold.report import candidates, machine, peers, picture, results
-from pathfold.report.candidates import Candidate, Run
-from pathfold.report.measure import Contest, Known, Measurement
-from pathfold.report.reference import Reference, shared_exposure
-from pathfold.report.subjects import Subject
+from pathfold.pixels import write_png
 
 RESULTS, PICTURES, REFERENCES = "results.jsonl", "pictures", "references"
 
@@ -265,9 +267,9 @@ def keep_pictures(
     """METHOD-8spp.png and its FLIP error METHOD-8spp.flip.png (grey) of every picture, and reference.png."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, image in images.items():
-        picture.write_png(folder / f"{name}-{spp}spp.png", metrics.display(image, scale))
-        picture.write_png(folder / f"{name}-{spp}spp.flip.png", metrics.flip_map(image, reference.mean, scale))
-    picture.write_png(folder / "reference.png", metrics.display(reference.mean, scale))
+        write_png(folder / f"{name}-{spp}spp.png", metrics.display(image, scale))
+        write_png(folder / f"{name}-{spp}spp.flip.png", metrics.flip_map(image, reference.mean, scale))
+    write_png(folder / "reference.png", metrics.display(reference.mean, scale))
 
 
 def make_folder(out: Path) -> None:

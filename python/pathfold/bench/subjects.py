@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from pathfold import channels
+from pathfold.bench import reference as references
+from pathfold.bench.reference import Reference
+from pathfold.bench.shot import Buffers, Shot
+from pathfold.bench.timing import SLOW_MS, in_turns
 from pathfold.buffers import BUFFERS
 from pathfold.channels import samples
 from pathfold.images import ImageError, ImageFile
 from pathfold.rendering import Camera
-from pathfold.report import reference as references
-from pathfold.report.measure import SLOW_MS, Buffers, Shot, in_turns
-from pathfold.report.reference import Reference
 
 VARIANT = "llvm_ad_rgb"
 DEEPEST, DEPTH = 64, 16  # a scene whose paths may be longer than DEEPEST is traced to DEPTH

@@ -1,6 +1,6 @@
 """The first frame in a fresh process: how long it takes with all that is loaded for it, and the peak memory.
 
-python -m pathfold.report.cold CANDIDATE FOLDER: the buffers are FOLDER/*.npy; prints one line of JSON.
+python -m pathfold.bench.cold CANDIDATE FOLDER: the buffers are FOLDER/*.npy; prints one line of JSON.
 """
 
 import json
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold import memory
-from pathfold.report import candidates, peers
+from pathfold.bench import candidates, peers
 
 TIMEOUT = 1800  # seconds
 

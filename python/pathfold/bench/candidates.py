@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pathfold import models
 from pathfold.arguments import failure
-from pathfold.report import peers
+from pathfold.bench import peers
 
 NOISY = "noisy"
 PRECISIONS = ("fp32", "int8")  # what a model's name may end in, with a colon before it; without it: the default
