@@ -25,7 +25,8 @@ from pathfold.bench.timing import in_turns
 from pathfold.cli import app, console
 from pathfold.cli.bench import without_place
 from pathfold.images import ImageError
-from pathfold.report import answers, curves, prediction, summary, versus
+from pathfold.plan import curves as planned
+from pathfold.report import answers, curves, summary, versus
 
 TINY = Path(__file__).parent / "assets" / "library" / "tiny"
 
@@ -277,7 +278,7 @@ def test_a_scene_is_measured_and_what_is_measured_is_kept(run, tmp_path: Path) -
     names = {path.name for path in out.iterdir()}
     assert names == {"results.jsonl", "table.md", "index.html", "curves.json", "plots", "pictures", "references"}
     assert {path.name for path in (out / "plots").iterdir()} == {"tiny.png", "tiny.svg"}
-    planned_from = prediction.read(out / "curves.json")
+    planned_from = planned.read(out / "curves.json")
     assert {(s.spp, s.method) for s in planned_from} == {(r["spp"], r["method"]) for r in first}
     page = (out / "index.html").read_text()
     assert "http://www.w3.org/2000/svg" in page  # the only address, a name that nothing is fetched from

@@ -11,8 +11,9 @@ import pytest
 from pathfold.cli import app, console
 from pathfold.cli.plan import point_record, record
 from pathfold.images import ImageError
-from pathfold.report import plan, plancheck, prediction
-from pathfold.report.prediction import Estimate, Pilot, Prediction, Sample
+from pathfold.plan import check, choose, curves, prediction
+from pathfold.plan.curves import Sample
+from pathfold.plan.prediction import Estimate, Pilot, Prediction
 
 TINY = Path(__file__).parent / "assets" / "library" / "tiny"
 SPPS = (2, 4, 8, 16)
@@ -29,8 +30,8 @@ def scene(name: str, noise: float, speed: float = 1.0, scatter: Callable[[], flo
 def test_a_law_that_holds_is_found() -> None:
     measured = [*scene("a", 1), *scene("b", 5), *scene("c", 30)]
     pilot = Pilot(4, 12 / 4, {"noisy": 860, "clean": 1032}, {"noisy": 0, "clean": 70})
-    curves = {curve[0].method: curve for curve in prediction.predict(measured, pilot)}
-    for spp, noisy, clean in zip(SPPS, curves["noisy"], curves["clean"], strict=True):
+    found = {curve[0].method: curve for curve in prediction.predict(measured, pilot)}
+    for spp, noisy, clean in zip(SPPS, found["noisy"], found["clean"], strict=True):
         assert noisy.spp == clean.spp == spp and noisy.scenes == 3
         assert noisy.rell2.value == pytest.approx(12 / spp)
         assert clean.rell2.value == pytest.approx(math.sqrt(12) * spp**-0.7)
@@ -57,7 +58,7 @@ def test_one_scene_predicts_but_cannot_tell_how_well() -> None:
     (curve, _) = prediction.predict(scene("a", 1), Pilot(2, 1, {"noisy": 1, "clean": 1}, {"noisy": 0, "clean": 1}))
     assert curve[0].rell2.factor == math.inf and curve[0].scenes == 1
     with pytest.raises(ImageError, match="takes two scenes"):
-        plancheck.markdown(scene("a", 1))
+        check.markdown(scene("a", 1))
 
 
 def curve(method: str, *points: tuple[int, float, float]) -> list[Prediction]:
@@ -65,23 +66,23 @@ def curve(method: str, *points: tuple[int, float, float]) -> list[Prediction]:
 
 
 @pytest.fixture
-def planned() -> plan.Plan:
+def planned() -> choose.Plan:
     noisy = curve("noisy", (2, 1, 1), (8, 0.25, 4), (32, 0.0625, 16))
     clean = curve("clean", (2, 0.1, 2), (8, 0.05, 5), (32, 0.03, 17))
-    return plan.Plan((64, 32), 2.0, (1.0, 9.0), [noisy, clean], {})
+    return choose.Plan((64, 32), 2.0, (1.0, 9.0), [noisy, clean], {})
 
 
-def test_the_cheapest_and_the_best_are_chosen_between_measured_spp(planned: plan.Plan) -> None:
-    choice = plan.cheapest(planned, 0.0707)  # half way from 2 to 8 in log-log, and a little below
+def test_the_cheapest_and_the_best_are_chosen_between_measured_spp(planned: choose.Plan) -> None:
+    choice = choose.cheapest(planned, 0.0707)  # half way from 2 to 8 in log-log, and a little below
     assert choice.chosen and (choice.chosen.method, choice.chosen.spp) == ("clean", 5)
     assert [(p.method, p.spp) for p in choice.reached] == [("clean", 5), ("noisy", 29)]
     assert choice.safe and choice.safe.method == "clean" and choice.safe.rell2.high <= 0.0707 and choice.safe.spp > 5
-    choice = plan.cheapest(planned, 0.04)
+    choice = choose.cheapest(planned, 0.04)
     assert [p.method for p in choice.missed] == ["noisy"] and choice.missed[0].spp == 32 and choice.safe is None
-    choice = plan.best(planned, 1.5)
+    choice = choose.best(planned, 1.5)
     assert choice.chosen and (choice.chosen.method, choice.chosen.spp) == ("noisy", 3)
     assert [(p.method, p.spp) for p in choice.missed] == [("clean", 2)]
-    assert [(p.method, p.spp) for p in plan.front(planned).reached] == [
+    assert [(p.method, p.spp) for p in choose.front(planned).reached] == [
         ("noisy", 2),
         ("clean", 2),
         ("clean", 8),
@@ -89,28 +90,28 @@ def test_the_cheapest_and_the_best_are_chosen_between_measured_spp(planned: plan
     ]
 
 
-def test_out_of_reach_tells_the_best_there_is(planned: plan.Plan) -> None:
-    with pytest.raises(plan.PlanError, match=r"RelL2 0.001 is out of reach; .* is 0.03, clean at 32 spp in 17 s"):
-        plan.cheapest(planned, 0.001)
-    with pytest.raises(plan.PlanError, match=r"0.5 s are too few; .* is 1 s, noisy at 2 spp"):
-        plan.best(planned, 0.5)
+def test_out_of_reach_tells_the_best_there_is(planned: choose.Plan) -> None:
+    with pytest.raises(choose.PlanError, match=r"RelL2 0.001 is out of reach; .* is 0.03, clean at 32 spp in 17 s"):
+        choose.cheapest(planned, 0.001)
+    with pytest.raises(choose.PlanError, match=r"0.5 s are too few; .* is 1 s, noisy at 2 spp"):
+        choose.best(planned, 0.5)
 
 
 def test_measurements_are_read_as_written(tmp_path: Path) -> None:
     measured = [*scene("a", 1), *scene("b", 4)]
-    prediction.save(tmp_path / "curves.json", measured)
+    curves.save(tmp_path / "curves.json", measured)
     for path in (tmp_path, tmp_path / "curves.json"):
-        read = prediction.read(path)
+        read = curves.read(path)
         assert [(s.scene, s.method, s.spp) for s in read] == [(s.scene, s.method, s.spp) for s in measured]
         np.testing.assert_allclose([s.rell2 for s in read], [s.rell2 for s in measured], rtol=1e-4)
     for text, words in (("[{}]", "is no curves.json"), ("[]", "no noisy picture"), ("{", "is no curves.json")):
         (tmp_path / "curves.json").write_text(text)
         with pytest.raises(ImageError, match=words):
-            prediction.read(tmp_path)
+            curves.read(tmp_path)
 
 
 def test_the_check_compares_with_what_was_measured(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    prediction.save(tmp_path / "curves.json", [*scene("a", 1), *scene("b", 4), *scene("c", 16, speed=3)])
+    curves.save(tmp_path / "curves.json", [*scene("a", 1), *scene("b", 4), *scene("c", 16, speed=3)])
     assert command("plan", "--check", "--measurements", tmp_path) == 0
     told = capsys.readouterr().out
     assert "3 scenes, each predicted from the others" in told and "| clean | 1.00 | 1.00 (" in told
@@ -132,7 +133,7 @@ def test_a_scene_is_planned_for(tmp_path: Path, capsys: pytest.CaptureFixture[st
     pytest.importorskip("pyoidn")
     measured = [*scene("a", 1), *scene("b", 4)]
     measured += [Sample(s.scene, "oidn", s.spp, s.rell2, s.render_ms, s.denoise_ms) for s in measured if s.denoise_ms]
-    prediction.save(tmp_path / "curves.json", measured)
+    curves.save(tmp_path / "curves.json", measured)
     arguments = ("plan", TINY / "scene.xml", "--measurements", tmp_path, "--size", "96x54")
     assert command(*arguments, "--error", 0.9) == 0
     text = " ".join(capsys.readouterr().out.split())
@@ -143,8 +144,8 @@ def test_a_scene_is_planned_for(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "out of reach" in capsys.readouterr().err
 
 
-def test_a_plan_as_data(planned: plan.Plan) -> None:
-    told = json.loads(json.dumps(record(planned, plan.cheapest(planned, 0.04))))
+def test_a_plan_as_data(planned: choose.Plan) -> None:
+    told = json.loads(json.dumps(record(planned, choose.cheapest(planned, 0.04))))
     assert told["chosen"] == told["reached"][0] and told["chosen"]["engine"] == "onnxruntime"
     assert told["chosen"]["rell2"] <= 0.04 and told["chosen"]["rell2_range"][1] > 0.04
     assert [p["method"] for p in told["missed"]] == ["noisy"] and told["safe"] is None
@@ -164,3 +165,8 @@ def test_a_plan_as_data(planned: plan.Plan) -> None:
 def test_wrong_arguments(arguments: list[object], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert command("plan", *arguments) == console.USAGE
     assert words in capsys.readouterr().err
+
+
+def test_the_shipped_curves_are_those_of_the_published_bench() -> None:
+    published = Path(__file__).parent.parent / "docs" / "results" / "bench" / curves.FILE
+    assert curves.SHIPPED.read_bytes() == published.read_bytes()

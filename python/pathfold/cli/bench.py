@@ -47,6 +47,7 @@ def bench(
     reference.exr. What DIR holds already is kept, so the same command goes on after an interruption.
     """
     from pathfold.bench import candidates, run, subjects
+    from pathfold.plan import curves
     from pathfold.report import outcome
 
     check_packages()
@@ -77,6 +78,7 @@ def bench(
         raise InputError(f"nothing could be measured: {problems[0] if problems else 'there is no scene'}")
     command = shlex.join(["pathfold", *map(without_place, sys.argv[1:])])
     outcome.write(out, measurements, problems, command, pictures)
+    curves.save(out / curves.FILE, curves.samples(measurements))
     if not quiet:
         show(out, outcome.said(measurements))
     if problems:

@@ -14,8 +14,9 @@ from pathfold.cli.render import parse_size
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pathfold.report.plan import Choice, Plan
-    from pathfold.report.prediction import Estimate, Prediction, Sample
+    from pathfold.plan.choose import Choice, Plan
+    from pathfold.plan.curves import Sample
+    from pathfold.plan.prediction import Estimate, Prediction
 
 WIDTH = 100  # where the output is no terminal
 MARKS = (("\N{RIGHTWARDS ARROW}", "bold"), ("\N{MULTIPLICATION SIGN}", "dim"))
@@ -49,8 +50,8 @@ def plan(
 
     Without --error and --seconds: all that no other beats in both.
     """
-    from pathfold.report import plan as planning
-    from pathfold.report import plancheck
+    from pathfold.plan import check as checking
+    from pathfold.plan import choose
 
     if check == (scene is not None):
         raise typer.BadParameter("either name a SCENE.xml to plan for, or give --check and no scene")
@@ -60,16 +61,16 @@ def plan(
         raise typer.BadParameter("--check takes --measurements alone")
     measured = load(measurements)
     if check:
-        for line in plancheck.markdown(measured).splitlines():
+        for line in checking.markdown(measured).splitlines():
             console.say(line)
         return
     assert scene is not None
     film = parse_size(size)
     try:
         with console.progress(f"look at {scene.name}", quiet=as_json):
-            found = planning.look(scene, measured, film)
+            found = choose.look(scene, measured, film)
         choice = target(found, error, seconds)
-    except planning.PlanError as problem:
+    except choose.PlanError as problem:
         raise InputError(f"{scene}: {problem}") from problem
     if as_json:
         console.say(json.dumps(record(found, choice)))
@@ -79,24 +80,23 @@ def plan(
 
 def load(path: Path | None) -> "list[Sample]":
     """The measurements to plan from; those that come with the package where none are named."""
-    from pathfold.report import prediction
+    from pathfold.plan import curves
 
-    shipped = Path(prediction.__file__).with_name(prediction.FILE)
-    if path is None and not shipped.is_file():
+    if path is None and not curves.SHIPPED.is_file():
         raise InputError(
             "no measurements come with this pathfold; name a folder of `pathfold bench`: --measurements DIR"
         )
-    return prediction.read(path or shipped)
+    return curves.read(path or curves.SHIPPED)
 
 
 def target(found: "Plan", error: float | None, seconds: float | None) -> "Choice":
-    from pathfold.report import plan as planning
+    from pathfold.plan import choose
 
     if error is not None:
-        return planning.cheapest(found, error)
+        return choose.cheapest(found, error)
     if seconds is not None:
-        return planning.best(found, seconds)
-    return planning.front(found)
+        return choose.best(found, seconds)
+    return choose.front(found)
 
 
 def show(scene: Path, found: "Plan", choice: "Choice") -> None:
@@ -172,7 +172,7 @@ def words(found: "Plan", choice: "Choice") -> list[str]:
 
 
 def sure(point: "Prediction") -> str:
-    from pathfold.report.prediction import held
+    from pathfold.plan.prediction import held
 
     if not isfinite(point.rell2.factor):
         return "How sure cannot be told: it takes two measured scenes to predict one from another."

@@ -1,4 +1,4 @@
-"""What a bench leaves behind for people and `plan`: table.md, plots/, index.html, curves.json."""
+"""What a bench leaves behind for people: table.md, plots/ and index.html."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from pathfold.bench.measurement import Measurement
 from pathfold.bench.results import ALL, Point, names, over_scenes, points
 from pathfold.bench.run import Problem
 from pathfold.images import replacing
-from pathfold.report import benchpage, plots, prediction, summary, versus
+from pathfold.report import benchpage, plots, summary, versus
 from pathfold.report.answers import Answer, answers
 
 
@@ -23,7 +23,6 @@ def write(
     facts = facts_of(measurements, command)
     lead = headline(means or at, len(scenes))
     plots.save(out / "plots", means, at, own)
-    prediction.save(out / prediction.FILE, prediction.samples(measurements))
     tables = summary.markdown(summary.by_method(measurements))
     markdown = [f"# Error against run time\n\n{lead}\n", *(_section(answer) for answer in told)]
     markdown.append(f"## Methods, {'means over scenes' if means else scenes[0]}\n\n{tables}")

@@ -5,8 +5,9 @@ from math import exp, isfinite, log, sqrt
 from statistics import fmean
 
 from pathfold.images import ImageError
+from pathfold.plan.curves import Sample
+from pathfold.plan.prediction import Estimate, Prediction, left_out
 from pathfold.report import summary
-from pathfold.report.prediction import Estimate, Prediction, Sample, left_out
 
 Pair = tuple[Sample, Prediction]
 

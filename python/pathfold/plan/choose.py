@@ -13,7 +13,8 @@ from pathfold.bench.contest import Image
 from pathfold.bench.shot import Buffers
 from pathfold.bench.subjects import MitsubaSubject, Options
 from pathfold.bench.timing import in_turns
-from pathfold.report.prediction import Pilot, Prediction, Sample, between, noises, predict
+from pathfold.plan.curves import Sample
+from pathfold.plan.prediction import Pilot, Prediction, between, noises, predict
 
 PIXELS = 320 * 180  # of a pilot
 SPP = 8  # of a pilot; the measured one next to it

@@ -1,0 +1,1 @@
+"""Which spp and method reach an error at the least cost, predicted from measured scenes."""
