@@ -18,7 +18,7 @@ build: setup ## Build the SDK with its tests, examples and benchmarks into build
 	@cmake --build --preset dev
 
 demo: setup ## Render, denoise and compare one scene: a table, a picture and a page in out/demo/
-	@$(PYTHON) -m pathfold.report.demo
+	@PYTHONPATH=tools $(PYTHON) -m demo
 
 test: build ## Run the C++ and the Python tests, but for the long ones
 	ctest --preset dev

@@ -30,7 +30,7 @@ from unittest import mock
 import pages
 import torch
 import torch.nn.functional as functional
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 from pathfold_training.dataset import store
 from pathfold_training.files import write_whole
 from pathfold_training.fit import task

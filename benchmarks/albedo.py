@@ -17,7 +17,7 @@ import numpy as np
 import pages
 import torch
 from numpy.typing import NDArray
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 from pathfold_training.fit.task import Denoising
 from pathfold_training.fit.views import Stored, ValidationViews, Window
 from pathfold_training.networks.losses import RELATIVE_EPSILON

@@ -25,7 +25,7 @@ from pathfold import metrics
 from pathfold.bench import candidates, peers, subjects
 from pathfold.bench.candidates import Candidate, Run
 from pathfold.bench.reference import Reference
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 
 
 class Spread:

@@ -21,7 +21,7 @@ from onnxruntime import InferenceSession, SessionOptions
 from pathfold import models
 from pathfold.bench import candidates
 from pathfold.bench.results import geometric
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 from pathfold_training.fit.views import Stored, ValidationViews
 from pathfold_training.release.quantise import CROPS, FILE, Feeds, network_feeds, quantised_copy, ratios, trained_as
 from pathfold_training.release.without_paths import VIEWS

@@ -23,7 +23,7 @@ import pages
 from pathfold import Denoiser, models, needs
 from pathfold.bench import candidates
 from pathfold.rendering import Camera
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 
 SEED, MAX_DEPTH = 1, 8
 

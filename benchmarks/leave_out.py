@@ -19,7 +19,7 @@ import numpy as np
 import pages
 from pathfold import Denoiser
 from pathfold.bench import candidates
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 
 TILE = 64
 PATHS = "path descriptors"

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pages
 import torch
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 from pathfold_training.dataset import store
 from pathfold_training.fit.crops import Crops
 from pathfold_training.fit.preset import Config, load_preset

@@ -21,7 +21,7 @@ from pathfold import memory
 from pathfold.bench import candidates, cold
 from pathfold.bench.candidates import PEERS
 from pathfold.buffers import BUFFERS
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 
 MEBIBYTE = 2**20
 DESCRIPTOR = 36

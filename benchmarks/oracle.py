@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pages
 import torch
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 from pathfold_training.fit.views import Stored, Window
 from pathfold_training.networks.losses import error_scale, robust_relative
 from pathfold_training.networks.pathfold import ALBEDO_EPSILON

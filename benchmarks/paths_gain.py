@@ -37,7 +37,7 @@ from pathfold.bench.reference import Reference
 from pathfold.bench.results import geometric
 from pathfold.images import replacing
 from pathfold.models import ALL_SAMPLES
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 from scipy.ndimage import uniform_filter
 
 Plane = NDArray[np.float64]

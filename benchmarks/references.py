@@ -19,7 +19,7 @@ from statistics import fmean, median, stdev
 from typing import Any
 
 import pages
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 from pathfold_training.dataset import store
 from pathfold_training.dataset.render import render
 from pathfold_training.fit.preset import Config, load_preset

@@ -29,7 +29,7 @@ from pathfold.buffers import BUFFERS
 from pathfold.images import replacing
 from pathfold.pixels import jpeg
 from pathfold.rendering import Camera
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 
 SHOWN = (NOISY, "oidn", "pathfold-balanced")  # of a picture; then the reference
 SHOWN_SPP, PICTURES = 8, 3

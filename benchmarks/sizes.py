@@ -20,7 +20,7 @@ import pages
 import torch
 from pathfold import Denoiser
 from pathfold.bench.peers import oidn
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 from pathfold_training.fit.preset import load_preset
 from pathfold_training.fit.task import Denoising
 from pathfold_training.networks.pathfold import Pathfold

@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pages
-from pathfold.report.summary import markdown
+from pathfold.report.tables import markdown
 
 MAX_DEPTH = 6
 COLUMNS = {

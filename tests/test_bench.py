@@ -26,7 +26,7 @@ from pathfold.cli import app, console
 from pathfold.cli.bench import without_place
 from pathfold.images import ImageError
 from pathfold.plan import curves as planned
-from pathfold.report import answers, curves, summary, versus
+from pathfold.report import answers, curves, tables, versus
 
 TINY = Path(__file__).parent / "assets" / "library" / "tiny"
 
@@ -162,11 +162,11 @@ def test_scene_table_flags_and_counts_wins() -> None:
     rows = [measurement("noisy", 1, 1, 1.0, scene) for scene in "ab"]
     rows += [measurement("x", 1, 1, 0.1, "a"), measurement("x", 1, 1, 2.0, "b")]
     rows = [replace(m, reference_rell2=0.01 if m.scene == "a" else 1e-4) for m in rows]
-    table = {row[0]: row[1:] for row in summary.by_scene(rows, 1)}
+    table = {row[0]: row[1:] for row in tables.by_scene(rows, 1)}
     assert table["a"][-1] == "within 20 times the reference's own error" and table["b"][-1] == ""
     assert table["wins"][:2] == ["1", "1"]
     assert table["worst, against the best"][:2] == ["10 (a)", "2 (b)"]
-    assert any("a at 1 spp" in note for note in summary.notes(rows))
+    assert any("a at 1 spp" in note for note in tables.notes(rows))
 
 
 def test_calls_take_turns() -> None:

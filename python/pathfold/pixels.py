@@ -10,6 +10,16 @@ from numpy.typing import NDArray
 
 from pathfold.images import replacing
 
+ERROR_GAIN = 4  # FLIP errors of denoised pictures are small; the map is white from 1/4 on
+
+
+def error_map(errors: NDArray[Any]) -> NDArray[Any]:
+    """FLIP errors (height x width, in [0, 1]) as display values, ERROR_GAIN times as large."""
+    from matplotlib import colormaps
+
+    mapped: NDArray[Any] = colormaps["magma"](ERROR_GAIN * errors)[..., :3]
+    return mapped
+
 
 def png(pixels: NDArray[Any]) -> bytes:
     """Display values (height x width x 3 in [0, 1]) as a PNG file in memory."""

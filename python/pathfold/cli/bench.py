@@ -48,7 +48,7 @@ def bench(
     """
     from pathfold.bench import candidates, run, subjects
     from pathfold.plan import curves
-    from pathfold.report import outcome
+    from pathfold.report import write
 
     check_packages()
     options = subjects.Options(
@@ -77,10 +77,10 @@ def bench(
     if not measurements:
         raise InputError(f"nothing could be measured: {problems[0] if problems else 'there is no scene'}")
     command = shlex.join(["pathfold", *map(without_place, sys.argv[1:])])
-    outcome.write(out, measurements, problems, command, pictures)
+    write.write(out, measurements, problems, command, pictures)
     curves.save(out / curves.FILE, curves.samples(measurements))
     if not quiet:
-        show(out, outcome.said(measurements))
+        show(out, write.said(measurements))
     if problems:
         raise typer.Exit(console.FAILED)
 

@@ -7,7 +7,7 @@ from statistics import fmean
 from pathfold.images import ImageError
 from pathfold.plan.curves import Sample
 from pathfold.plan.prediction import Estimate, Prediction, left_out
-from pathfold.report import summary
+from pathfold.report import tables
 
 Pair = tuple[Sample, Prediction]
 
@@ -30,17 +30,17 @@ def markdown(measured: Sequence[Sample]) -> str:
     at = [pair for pair in pairs if pair[0].spp == spp]
     parts = [
         lead,
-        summary.markdown(by_method(pairs)),
+        tables.markdown(by_method(pairs)),
         f"RelL2 at {spp} spp, predicted / measured:",
-        summary.markdown(by_scene(at, lambda p: f"{p[1].rell2.value:.3g} / {p[0].rell2:.3g}")),
+        tables.markdown(by_scene(at, lambda p: f"{p[1].rell2.value:.3g} / {p[0].rell2:.3g}")),
     ]
     if spp > spps[0]:
         parts.append(f"Seconds at {spp} spp, predicted / measured:")
-        parts.append(summary.markdown(by_scene(at, lambda p: f"{p[1].seconds.value:.3g} / {seconds(p[0]):.3g}")))
+        parts.append(tables.markdown(by_scene(at, lambda p: f"{p[1].seconds.value:.3g} / {seconds(p[0]):.3g}")))
     return "\n\n".join(part.strip() for part in parts)
 
 
-def by_method(pairs: Sequence[Pair]) -> summary.Table:
+def by_method(pairs: Sequence[Pair]) -> tables.Table:
     """How far predictions were off, and how often the measured value lay in the range that was told."""
     lowest = min(s.spp for s, _ in pairs)  # its times are the pilot's, not predicted
     rows = []
@@ -50,10 +50,10 @@ def by_method(pairs: Sequence[Pair]) -> summary.Table:
         time = _misses([(s, p.seconds, seconds(s)) for s, p in own if s.spp > lowest])
         rows.append([method, *error, *time])
     head = ["method", "error: typical factor", "worst", "in range", "time: typical factor", "worst", "in range"]
-    return summary.drop_empty([head, *rows])
+    return tables.drop_empty([head, *rows])
 
 
-def by_scene(pairs: Sequence[Pair], cell: Callable[[Pair], str]) -> summary.Table:
+def by_scene(pairs: Sequence[Pair], cell: Callable[[Pair], str]) -> tables.Table:
     methods = list(dict.fromkeys(s.method for s, _ in pairs))
     scenes = dict.fromkeys(s.scene for s, _ in pairs)
     cells = {(pair[0].scene, pair[0].method): cell(pair) for pair in pairs}

@@ -6,7 +6,7 @@ from pathfold.bench.candidates import NOISY, PEERS
 from pathfold.bench.measurement import Measurement
 from pathfold.bench.results import Point, geometric, names, points
 from pathfold.report.curves import Reached, error_at, timed
-from pathfold.report.summary import Table
+from pathfold.report.tables import Table
 
 METRICS = {"rell2": "RelL2", "flip": "FLIP"}
 HEADER = (

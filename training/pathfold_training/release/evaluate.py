@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from pathfold.bench import candidates, results, run, subjects
 from pathfold.bench.measurement import Measurement
 from pathfold.pixels import save_sheet
-from pathfold.report import summary
+from pathfold.report import tables
 from rich.console import Console
 from rich.progress import Progress
 
@@ -52,8 +52,8 @@ def table(rows: Sequence[Measurement], spp: int) -> str:
     """Markdown: RelL2 per scene and method, all means, then manifold against vanilla."""
     seeds = len({row.seed for row in rows})
     lines = [f"RelL2 at {spp} spp, geometric mean over {seeds} render seeds, noise of the reference removed.", ""]
-    lines += [summary.markdown(summary.by_scene(rows, spp)), summary.markdown(summary.by_method(rows))]
-    return "\n".join([*lines, *(f"- {note}" for note in summary.notes(rows)), *paired(rows)]) + "\n"
+    lines += [tables.markdown(tables.by_scene(rows, spp)), tables.markdown(tables.by_method(rows))]
+    return "\n".join([*lines, *(f"- {note}" for note in tables.notes(rows)), *paired(rows)]) + "\n"
 
 
 def paired(rows: Sequence[Measurement]) -> list[str]:

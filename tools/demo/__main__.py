@@ -1,4 +1,4 @@
-"""The demo: python -m pathfold.report.demo [--out DIR] [--spp 8].
+"""The demo: make demo, or PYTHONPATH=tools python -m demo [--out DIR] [--spp 8].
 
 Renders the still life of scene.py with path descriptors, denoises it with the shipped models and with Open Image
 Denoise, renders a reference with Mitsuba's own path tracer, and writes table.md, results.json, picture.png and
@@ -18,22 +18,24 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
-
-from pathfold import Denoiser, metrics
-from pathfold.bench import peers
+from pathfold import metrics
+from pathfold.bench import candidates, reference
+from pathfold.bench.candidates import Candidate, Run
 from pathfold.bench.machine import machine, versions
 from pathfold.bench.reference import Reference
-from pathfold.bench.reference import render as render_reference
+from pathfold.bench.run import make_folder
+from pathfold.bench.shot import Shot
 from pathfold.bench.timing import in_turns
 from pathfold.cli import console
 from pathfold.cli.render import parse_size
-from pathfold.images import OutputError, check_writable
-from pathfold.models import path_samples
 from pathfold.rendering import load_mitsuba
-from pathfold.report import Method, page, picture, tables
+
+from demo import page, picture, table
+from demo.method import Method
 
 DEFAULT = "pathfold-balanced"
 MODELS = ("kpcn-manifold", "pathfold-fast", DEFAULT, "pathfold-high")
+DENOISERS = {"OIDN": "oidn", "OIDN, prefiltered": "oidn-prefiltered"} | {name: name for name in MODELS}  # by title
 ROUNDS = 5
 # Where to look closely, as shares of the frame: left, top, width (the height follows).
 CROPS = ((0.15, 0.27, 0.16), (0.54, 0.38, 0.16), (0.71, 0.48, 0.16))
@@ -53,66 +55,63 @@ def demo(
     start = perf_counter()
     make_folder(out)
     check_packages()
-    denoisers = {name: Denoiser(name) for name in MODELS}
+    found = {title: candidates.find(argument) for title, argument in DENOISERS.items()}
+    runs = {title: candidate.load() for title, candidate in found.items()}
     load_mitsuba("llvm_ad_rgb")
-    from pathfold.report.scene import MAX_DEPTH, still_life
+    from demo.scene import MAX_DEPTH, still_life  # needs the variant
 
     width, height = parse_size(size) or (384, 256)
     scene = still_life(width, height)
     console.say(f"rendering {width}x{height} at {spp} spp")
-    recorded = {name: min(spp, path_samples(name)) for name in MODELS}
-    renders: dict[Any, Callable[[], Any]] = {
-        count: partial(traced, scene, spp, MAX_DEPTH, count) for count in sorted({0, *recorded.values()})
-    }
-    rendered = turns(renders, 3)
-    render_ms = {count: ms for count, (ms, _) in rendered.items()}
-    plain_ms, (buffers, samples) = render_ms[0], rendered[max(render_ms)][1]  # all see the same frame
+    shot = shoot(scene, spp, MAX_DEPTH, {min(spp, candidate.path_samples) for candidate in found.values()})
+    plain_ms = median(shot.render_ms[0])
 
     console.say("denoising")
-    guides = (buffers["color"], buffers["albedo"], buffers["normal"])
-    entries: dict[str, tuple[float, Callable[[], Image]]] = {
-        "OIDN": (plain_ms, lambda: peers.oidn(*guides)),
-        "OIDN, prefiltered": (plain_ms, lambda: peers.oidn_prefiltered(*guides)),
-    }
-    for name, denoiser in denoisers.items():
-        entries[name] = (render_ms[recorded[name]], apply(denoiser, buffers | samples, spp))
     denoised = [
-        Method(name, image, render_ms=entries[name][0], denoise_ms=ms)
-        for name, (ms, image) in turns({name: call for name, (_, call) in entries.items()}, ROUNDS).items()
+        Method(title, image, render_ms=median(shot.rendering_for(found[title])), denoise_ms=ms)
+        for title, (ms, image) in turns({t: denoising(found[t], runs[t], shot) for t in found}, ROUNDS).items()
     ]
     same_time = equal_time(scene, spp, next(method.total_ms or 0 for method in denoised if method.name == DEFAULT))
-    noisy = Method(f"{spp} spp", buffers["color"], render_ms=plain_ms)
+    noisy = Method(f"{spp} spp", shot.buffers["color"], render_ms=plain_ms)
     methods = [noisy, same_time, *denoised]
 
     console.say("rendering the reference")
     with console.progress("reference") as bar:
-        reference = render_reference(scene, reference_spp, start + seconds - perf_counter(), bar)
+        right = reference.render(scene, reference_spp, start + seconds - perf_counter(), bar)
     for method in methods:
-        method.errors = reference.errors(method.image)
-    truth = Method("reference", reference.mean, note=f"{reference.spp} spp")
-    write(out, [*methods, truth], spp, notes_of(methods, reference), facts_of(scene, spp, MAX_DEPTH))
+        method.errors = right.errors(method.image)
+    last = Method("reference", right.mean, note=f"{right.spp} spp")
+    write(out, [*methods, last], spp, notes_of(methods, right), facts_of(scene, spp, MAX_DEPTH))
     show(methods, out, perf_counter() - start)
 
 
-def traced(scene: Any, spp: int, max_depth: int, recorded: int) -> tuple[dict[str, Image], dict[str, Any]]:
+def shoot(scene: Any, spp: int, max_depth: int, recorded: set[int]) -> Shot:
+    """The noisy frame with the most recorded paths; the times to render it with each number of them, and with none."""
+    renders: dict[Any, Callable[[], Any]] = {
+        count: partial(traced, scene, spp, max_depth, count) for count in sorted({0, *recorded})
+    }
+    rendered = {count: render() for count, render in renders.items()}
+    return Shot(rendered[max(rendered)], spp, in_turns(renders, 3))
+
+
+def traced(scene: Any, spp: int, max_depth: int, recorded: int) -> dict[str, Any]:
     """Per-pixel buffers and the block of the first `recorded` samples."""
-    from pathfold.mitsuba import trace
+    from pathfold.mitsuba import trace  # needs the variant
 
     samples = trace(scene, spp, SEED, max_depth, recorded=recorded)
     buffers = samples.reduce()
     buffers.pop("dropped")
     block = {"samples.descriptor": samples.descriptor, "samples.density": samples.density} if recorded else {}
-    return buffers, block
+    return buffers | block
 
 
-def apply(denoiser: Denoiser, buffers: dict[str, Any], spp: int) -> Callable[[], Image]:
-    known = {*denoiser.model.requires, *denoiser.model.uses, "color"}
-    read = {name: pixels for name, pixels in buffers.items() if name in known}
-    return lambda: denoiser.run_buffers(read, samples_per_pixel=spp).color
+def denoising(candidate: Candidate, run: Run, shot: Shot) -> Callable[[], Image]:
+    read = {name: pixels for name, pixels in shot.buffers.items() if name in candidate.reads}
+    return lambda: run(read, None, shot.spp)
 
 
 def turns(calls: dict[Any, Callable[[], Any]], rounds: int) -> dict[Any, tuple[float, Any]]:
-    """Median milliseconds of every call after a warm-up, and its result."""
+    """Median milliseconds of every call after a warm-up, and what that gave."""
     results = {name: call() for name, call in calls.items()}
     took = in_turns(calls, rounds)
     return {name: (median(took[name]), results[name]) for name in calls}
@@ -153,12 +152,12 @@ def facts_of(scene: Any, spp: int, max_depth: int) -> dict[str, str]:
     """How and on what it was made."""
     width, height = scene.sensors()[0].film().size()
     return {
-        "Scene": "a still life made of formulas, CC0 1.0 (pathfold.report.scene)",
+        "Scene": "a still life made of formulas, CC0 1.0 (tools/demo/scene.py)",
         "Picture": f"{width}x{height}, {spp} samples per pixel, paths of up to {max_depth} segments, seed {SEED}",
         "Machine": machine(),
         "Software": ", ".join(f"{name} {number}" for name, number in versions().items()),
         "Display": "(s x / (1 + s x))^(1/2.2), the reference's log-average luminance at 0.18",
-        "Made by": "python -m pathfold.report.demo",
+        "Made by": "make demo",
     }
 
 
@@ -169,19 +168,11 @@ def check_packages() -> None:
             raise ModuleNotFoundError(f"the demo needs {package}: pip install 'pathfold[mitsuba,bench]'")
 
 
-def make_folder(out: Path) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be made: {error.strerror}") from error
-    check_writable(out / "index.html")
-
-
 def write(out: Path, methods: list[Method], spp: int, notes: list[str], facts: dict[str, str]) -> None:
     """Write the four files into a folder; `methods` ends with the reference."""
-    measured, truth = methods[:-1], methods[-1]
-    scale = metrics.exposure(truth.image)
-    height, width = truth.image.shape[:2]
+    measured, last = methods[:-1], methods[-1]
+    scale = metrics.exposure(last.image)
+    height, width = last.image.shape[:2]
     crops = [(int(x * width), int(y * height), int(w * width), int(w * width)) for x, y, w in CROPS]
     picture.save(out / "picture.png", methods, crops, scale)
     page.save(
@@ -196,16 +187,16 @@ def write(out: Path, methods: list[Method], spp: int, notes: list[str], facts: d
         before=methods[0].name,
         after=measured[-1].name,
     )
-    text = "\n\n".join([tables.markdown(measured), *notes, *(f"{name}: {value}" for name, value in facts.items())])
+    text = "\n\n".join([table.markdown(measured), *notes, *(f"{name}: {value}" for name, value in facts.items())])
     (out / "table.md").write_text(text + "\n", encoding="utf-8")
-    data = {"methods": tables.records(measured), "notes": notes, "facts": facts}
+    data = {"methods": table.records(measured), "notes": notes, "facts": facts}
     (out / "results.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
 
 
 def show(methods: list[Method], out: Path, seconds: float) -> None:
     from rich.console import Console
 
-    Console(width=112).print(tables.terminal(methods, ""))
+    Console(width=112).print(table.terminal(methods, ""))
     console.say(f"{seconds:.0f} s; see {out / 'index.html'}, {out / 'picture.png'}, {out / 'table.md'}")
 
 

@@ -1,14 +1,14 @@
-"""The picture of a report: the whole frame, and the same crops of every method side by side."""
+"""The picture of the demo: the whole frame, and the same crops of every method side by side."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
-
 from pathfold.images import replacing
 from pathfold.metrics import display
-from pathfold.report.method import METRICS, TITLES, Method
+
+from demo.method import METRICS, TITLES, Method
 
 Crop = tuple[int, int, int, int]  # left, top, width, height
 _COLORS = ("#e8a33d", "#4fb3bf", "#d8567a")

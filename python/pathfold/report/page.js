@@ -1,4 +1,4 @@
-  // The plot, the table and the pictures of a bench; `data` is what benchpage.py put in.
+  // The plot, the table and the pictures of a bench; `data` is what page.py put in.
   const svg = at("plot"), tip = at("tip");
   const box = { left: 78, right: 980, top: 18, bottom: 505 };
   const color = method => data.colors[data.methods.indexOf(method) % data.colors.length];

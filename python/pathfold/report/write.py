@@ -7,7 +7,7 @@ from pathfold.bench.measurement import Measurement
 from pathfold.bench.results import ALL, Point, names, over_scenes, points
 from pathfold.bench.run import Problem
 from pathfold.images import replacing
-from pathfold.report import benchpage, plots, summary, versus
+from pathfold.report import page, plots, tables, versus
 from pathfold.report.answers import Answer, answers
 
 
@@ -19,23 +19,23 @@ def write(
     at, means = points(measurements), over_scenes(measurements) if len(scenes) > 1 else []
     own = {m.scene: m.reference_rell2 for m in measurements}
     told = answers(means or at, at)
-    notes = [*summary.notes(measurements), *(f"Left out: {problem}." for problem in problems)]
+    notes = [*tables.notes(measurements), *(f"Left out: {problem}." for problem in problems)]
     facts = facts_of(measurements, command)
     lead = headline(means or at, len(scenes))
     plots.save(out / "plots", means, at, own)
-    tables = summary.markdown(summary.by_method(measurements))
+    methods = tables.markdown(tables.by_method(measurements))
     markdown = [f"# Error against run time\n\n{lead}\n", *(_section(answer) for answer in told)]
-    markdown.append(f"## Methods, {'means over scenes' if means else scenes[0]}\n\n{tables}")
+    markdown.append(f"## Methods, {'means over scenes' if means else scenes[0]}\n\n{methods}")
     for peer, table in versus.versus(measurements).items():
-        markdown.append(f"## Against {peer}\n\n{summary.markdown(table)}\n{versus.NOTE}\n")
+        markdown.append(f"## Against {peer}\n\n{tables.markdown(table)}\n{versus.NOTE}\n")
     for spp in sorted({m.spp for m in measurements}):
-        tables = summary.markdown(summary.by_scene(measurements, spp))
-        markdown.append(f"## RelL2 at {spp} spp\n\n{tables}")
+        by_scene = tables.markdown(tables.by_scene(measurements, spp))
+        markdown.append(f"## RelL2 at {spp} spp\n\n{by_scene}")
     markdown.append("## Notes\n\n" + "".join(f"- {note}\n" for note in notes))
     markdown.append("".join(f"- {name}: {value}\n" for name, value in facts.items()))
     with replacing(out / "table.md") as unfinished:
         unfinished.write_text("\n".join(markdown), encoding="utf-8")
-    benchpage.save(
+    page.save(
         out / "index.html",
         means,
         at,
@@ -83,5 +83,5 @@ def facts_of(measurements: Sequence[Measurement], command: str) -> dict[str, str
 
 
 def _section(answer: Answer) -> str:
-    table = f"\n{summary.markdown(answer.table)}" if answer.table else ""
+    table = f"\n{tables.markdown(answer.table)}" if answer.table else ""
     return f"## {answer.question}\n\n" + "".join(f"- {sentence}\n" for sentence in answer.sentences) + table

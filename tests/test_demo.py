@@ -1,7 +1,8 @@
-"""Reports: table, picture and page."""
+"""The demo: table, picture and page."""
 
 import json
 import re
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -13,9 +14,13 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("flip_evaluator")
 
 from pathfold import metrics
-from pathfold.report import Method, page, picture, tables
-from pathfold.report.demo import make_folder, write
-from pathfold.report.method import best
+from pathfold.bench.run import make_folder
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tools"))
+
+from demo import page, picture, table
+from demo.__main__ import write
+from demo.method import Method, best
 
 SIZE = (24, 36)
 
@@ -36,14 +41,14 @@ def test_the_best_is_the_smallest_error_and_the_greatest_ssim(methods: list[Meth
 
 
 def test_markdown(methods: list[Method]) -> None:
-    lines = tables.markdown(methods[:2]).splitlines()
+    lines = table.markdown(methods[:2]).splitlines()
     assert lines[0].startswith("|  | RelL2 | SMAPE | SSIM | FLIP | render ms")
     assert lines[2].endswith("| 700 |  | 700 |")
     assert f"**{methods[1].errors['rell2']:.4f}**" in lines[3] and "1,234 | 2,034 |" in lines[3]
 
 
 def test_records_are_plain_data(methods: list[Method]) -> None:
-    first = json.loads(json.dumps(tables.records(methods)))[0]
+    first = json.loads(json.dumps(table.records(methods)))[0]
     assert first["rell2"] == pytest.approx(methods[0].errors["rell2"]) and first["denoise_ms"] is None
 
 

@@ -1,0 +1,1 @@
+"""The demo: one scene rendered, denoised by every method, compared."""
