@@ -59,8 +59,9 @@ def tables(rows: Sequence[pages.Row]) -> str:
     high = rows[0]  # OIDN comes first
     table = [["method", "reads", "inputs", "above inputs", "OIDN high = 1", "total", "OIDN high = 1"]]
     for row in rows:
-        cells = [row["error"], "", "", "", ""]
-        if "error" not in row:
+        if "error" in row:
+            cells = [row["error"], "", "", "", ""]
+        else:
             cells = [f"{row['inputs']:.0f}"]
             cells += [text for n in ("above", "total") for text in (f"{row[n]:.0f}", f"{row[n] / high[n]:.2f}")]
         table.append([row["method"], row["reads"], *cells])
