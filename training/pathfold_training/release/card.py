@@ -79,7 +79,7 @@ tags: [monte-carlo-denoising, kernel-prediction]
 | seconds | {seconds[0]:.0f} wall, {seconds[1]:.0f} CPU, all parts of the run |
 | seed, commit | {training["seed"]}, {training["commit"]} |
 
-The commands that train it again are in docs/lineage.md; all results and known weaknesses in docs/results/.
+The table tells the last of a chain of runs. docs/training.md says how to train a model, docs/results/ how well it does.
 {errors}"""
 
 
