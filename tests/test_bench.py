@@ -18,12 +18,12 @@ pytest.importorskip("pyoidn")
 
 from pathfold import PathfoldError, metrics
 from pathfold.bench import candidates, cold, results, subjects
+from pathfold.bench.about import command
 from pathfold.bench.measurement import Measurement
 from pathfold.bench.reference import Reference
 from pathfold.bench.run import Job, _events
 from pathfold.bench.timing import in_turns
 from pathfold.cli import app, console
-from pathfold.cli.bench import without_place
 from pathfold.images import ImageError
 from pathfold.plan import curves as planned
 from pathfold.report import answers, curves, tables, versus
@@ -276,7 +276,8 @@ def test_a_scene_is_measured_and_what_is_measured_is_kept(run, tmp_path: Path) -
     rell2 = {(r["spp"], r["seed"]): r["rell2"] for r in first if r["method"] == "noisy"}
     assert rell2[2, 0] < rell2[1, 0] and rell2[1, 0] != rell2[1, 1]
     names = {path.name for path in out.iterdir()}
-    assert names == {"results.jsonl", "table.md", "index.html", "curves.json", "plots", "pictures", "references"}
+    data = {"results.jsonl", "about.json", "curves.json", "references"}
+    assert names == data | {"table.md", "index.html", "plots", "pictures"}
     assert {path.name for path in (out / "plots").iterdir()} == {"tiny.png", "tiny.svg"}
     planned_from = planned.read(out / "curves.json")
     assert {(s.spp, s.method) for s in planned_from} == {(r["spp"], r["method"]) for r in first}
@@ -388,12 +389,18 @@ def test_evaluate_goes_the_same_way(tmp_path: Path, tiny: Path) -> None:
     assert list(by) == ["noisy", "oidn", "oidn-prefiltered", "kpcn-vanilla", "kpcn-manifold"]
     table = (tmp_path / "out" / "table.md").read_text()
     assert f"| **all** | | **{by['kpcn-manifold'] / by['kpcn-vanilla']:.3f}** |" in table
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"results.jsonl", "table.md", "tiny-1spp.jpg"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "results.jsonl",
+        "about.json",
+        "table.md",
+        "tiny-1spp.jpg",
+    }
 
 
 def test_results_do_not_tell_where_things_lie(tmp_path: Path) -> None:
-    assert without_place(str(tmp_path / "scenes")) == "scenes"
-    assert [without_place(given) for given in ("scenes/a.xml", "--spp", "2,4")] == ["scenes/a.xml", "--spp", "2,4"]
+    words = ["pathfold", "bench", str(tmp_path / "scenes"), "scenes/a.xml", "../scenes/b", str(Path.cwd() / "c"), "2,4"]
+    assert command(words[:3]) == f"pathfold bench {tmp_path.name.upper()}/scenes"
+    assert command(words[3:]) == "scenes/a.xml SCENES/b c 2,4"
 
 
 def test_a_model_is_measured_in_a_precision(tiny: Path) -> None:

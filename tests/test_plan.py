@@ -58,7 +58,7 @@ def test_one_scene_predicts_but_cannot_tell_how_well() -> None:
     (curve, _) = prediction.predict(scene("a", 1), Pilot(2, 1, {"noisy": 1, "clean": 1}, {"noisy": 0, "clean": 1}))
     assert curve[0].rell2.factor == math.inf and curve[0].scenes == 1
     with pytest.raises(ImageError, match="takes two scenes"):
-        check.markdown(scene("a", 1))
+        check.markdown(scene("a", 1), "pathfold plan --check")
 
 
 def curve(method: str, *points: tuple[int, float, float]) -> list[Prediction]:

@@ -224,10 +224,12 @@ def evaluate(
 ) -> None:
     """Compare models with the noisy input and OIDN on scenes with references."""
     from pathfold import models
+    from pathfold.bench import about
 
     from .release.evaluate import evaluate as run
 
-    run(scenes, out, model or list(models.available(models.shipped_directories())), spp=spp, seeds=seeds)
+    chosen = model or list(models.available(models.shipped_directories()))
+    run(scenes, out, chosen, spp, seeds, about.command(["pathfold-train", *sys.argv[1:]]))
 
 
 @app.command()

@@ -1,6 +1,5 @@
 """`pathfold bench`: error against run time, of every method on your scenes."""
 
-import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,12 +11,6 @@ from pathfold.cli.console import InputError
 
 if TYPE_CHECKING:
     from pathfold.bench.run import Problem, Progress
-
-
-def without_place(argument: str) -> str:
-    """An absolute path by its name alone: results are shown elsewhere, and where it lay is of this machine."""
-    path = Path(argument)
-    return path.name if path.is_absolute() else argument
 
 
 def bench(
@@ -47,6 +40,7 @@ def bench(
     reference.exr. What DIR holds already is kept, so the same command goes on after an interruption.
     """
     from pathfold.bench import candidates, run, subjects
+    from pathfold.bench.about import About, command
     from pathfold.plan import curves
     from pathfold.report import write
 
@@ -76,8 +70,8 @@ def bench(
         raise console.StoppedError(said) from None
     if not measurements:
         raise InputError(f"nothing could be measured: {problems[0] if problems else 'there is no scene'}")
-    command = shlex.join(["pathfold", *map(without_place, sys.argv[1:])])
-    write.write(out, measurements, problems, command, pictures)
+    About(command(["pathfold", *sys.argv[1:]]), tuple(map(str, problems))).save(out)
+    write.write(out, pictures)
     curves.save(out / curves.FILE, curves.samples(measurements))
     if not quiet:
         show(out, write.said(measurements))

@@ -1,6 +1,7 @@
 """`pathfold plan`: which spp and which method reach an error at the least cost, or the least error in a time."""
 
 import json
+import sys
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -50,6 +51,7 @@ def plan(
 
     Without --error and --seconds: all that no other beats in both.
     """
+    from pathfold.bench.about import command
     from pathfold.plan import check as checking
     from pathfold.plan import choose
 
@@ -61,7 +63,7 @@ def plan(
         raise typer.BadParameter("--check takes --measurements alone")
     measured = load(measurements)
     if check:
-        for line in checking.markdown(measured).splitlines():
+        for line in checking.markdown(measured, command(["pathfold", *sys.argv[1:]])).splitlines():
             console.say(line)
         return
     assert scene is not None

@@ -12,8 +12,10 @@ from pathfold.report import tables
 Pair = tuple[Sample, Prediction]
 
 
-def markdown(measured: Sequence[Sample]) -> str:
-    """Tables: the misses of every method over scenes and spp; predicted and measured, scene by scene at one spp.
+def markdown(measured: Sequence[Sample], command: str) -> str:
+    """A page: the misses of every method over scenes and spp; predicted and measured, scene by scene at one spp.
+
+    `command` is what it says that it was made by.
 
     Raises ImageError where fewer than two scenes were measured.
     """
@@ -29,7 +31,9 @@ def markdown(measured: Sequence[Sample]) -> str:
     )
     at = [pair for pair in pairs if pair[0].spp == spp]
     parts = [
+        "# How well `plan` predicts",
         lead,
+        f"    {command}",
         tables.markdown(by_method(pairs)),
         f"RelL2 at {spp} spp, predicted / measured:",
         tables.markdown(by_scene(at, lambda p: f"{p[1].rell2.value:.3g} / {p[0].rell2:.3g}")),
@@ -37,7 +41,7 @@ def markdown(measured: Sequence[Sample]) -> str:
     if spp > spps[0]:
         parts.append(f"Seconds at {spp} spp, predicted / measured:")
         parts.append(tables.markdown(by_scene(at, lambda p: f"{p[1].seconds.value:.3g} / {seconds(p[0]):.3g}")))
-    return "\n\n".join(part.strip() for part in parts)
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
 def by_method(pairs: Sequence[Pair]) -> tables.Table:

@@ -1,40 +1,30 @@
-"""What a bench leaves behind for people: table.md, plots/ and index.html."""
+"""What a bench leaves behind for people: table.md, plots/, index.html; made from its results.jsonl and about.json."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
+from pathfold.bench import results
+from pathfold.bench.about import About
 from pathfold.bench.measurement import Measurement
 from pathfold.bench.results import ALL, Point, names, over_scenes, points
-from pathfold.bench.run import Problem
+from pathfold.bench.run import RESULTS
 from pathfold.images import replacing
 from pathfold.report import page, plots, tables, versus
 from pathfold.report.answers import Answer, answers
 
+TABLE = "table.md"
 
-def write(
-    out: Path, measurements: Sequence[Measurement], problems: Sequence[Problem], command: str, pictures: Path
-) -> None:
-    """Write all of them into `out`; `command` is what made them, `pictures` where run.keep_pictures put its files."""
+
+def write(out: Path, pictures: Path) -> None:
+    """Write all of them into `out`, which holds the data; `pictures` is where run.keep_pictures put its files."""
+    measurements, about = read(out)
     scenes = names(measurements, "scene")
     at, means = points(measurements), over_scenes(measurements) if len(scenes) > 1 else []
     own = {m.scene: m.reference_rell2 for m in measurements}
     told = answers(means or at, at)
-    notes = [*tables.notes(measurements), *(f"Left out: {problem}." for problem in problems)]
-    facts = facts_of(measurements, command)
-    lead = headline(means or at, len(scenes))
     plots.save(out / "plots", means, at, own)
-    methods = tables.markdown(tables.by_method(measurements))
-    markdown = [f"# Error against run time\n\n{lead}\n", *(_section(answer) for answer in told)]
-    markdown.append(f"## Methods, {'means over scenes' if means else scenes[0]}\n\n{methods}")
-    for peer, table in versus.versus(measurements).items():
-        markdown.append(f"## Against {peer}\n\n{tables.markdown(table)}\n{versus.NOTE}\n")
-    for spp in sorted({m.spp for m in measurements}):
-        by_scene = tables.markdown(tables.by_scene(measurements, spp))
-        markdown.append(f"## RelL2 at {spp} spp\n\n{by_scene}")
-    markdown.append("## Notes\n\n" + "".join(f"- {note}\n" for note in notes))
-    markdown.append("".join(f"- {name}: {value}\n" for name, value in facts.items()))
-    with replacing(out / "table.md") as unfinished:
-        unfinished.write_text("\n".join(markdown), encoding="utf-8")
+    with replacing(out / TABLE) as unfinished:
+        unfinished.write_text(markdown(measurements, about), encoding="utf-8")
     page.save(
         out / "index.html",
         means,
@@ -43,10 +33,35 @@ def write(
         pictures,
         own,
         title="Error against run time" if means else f"{scenes[0]}: error against run time",
-        lead=lead,
-        notes=notes,
-        facts=facts,
+        lead=headline(means or at, len(scenes)),
+        notes=notes_of(measurements, about),
+        facts=facts_of(measurements) | {"Made by": about.command},
     )
+
+
+def read(out: Path) -> tuple[list[Measurement], About]:
+    """The data of a bench: all that its folder's results.jsonl holds, and what made it."""
+    return list(results.read(out / RESULTS).values()), About.read(out)
+
+
+def markdown(measurements: Sequence[Measurement], about: About) -> str:
+    """table.md."""
+    scenes = names(measurements, "scene")
+    at, means = points(measurements), over_scenes(measurements) if len(scenes) > 1 else []
+    lead = headline(means or at, len(scenes))
+    parts = [f"# Error against run time\n\n{lead}\n\n    {about.command}\n"]
+    parts += [_section(answer) for answer in answers(means or at, at)]
+    methods = tables.markdown(tables.by_method(measurements))
+    parts.append(f"## Methods, {'means over scenes' if means else scenes[0]}\n\n{methods}")
+    if compared := versus.versus(measurements):
+        parts += [f"## Against {peer}\n\n{tables.markdown(table)}" for peer, table in compared.items()]
+        parts.append(f"{versus.NOTE}\n")
+    for spp in sorted({m.spp for m in measurements}):
+        by_scene = tables.markdown(tables.by_scene(measurements, spp))
+        parts.append(f"## RelL2 at {spp} spp\n\n{by_scene}")
+    parts.append("## Notes\n\n" + "".join(f"- {note}\n" for note in notes_of(measurements, about)))
+    parts.append("".join(f"- {name}: {value}\n" for name, value in facts_of(measurements).items()))
+    return "\n".join(parts)
 
 
 def said(measurements: Sequence[Measurement]) -> list[str]:
@@ -64,7 +79,12 @@ def headline(at: Sequence[Point], scenes: int) -> str:
     return f"{subject}, {len(methods)} methods, {levels} samples per pixel."
 
 
-def facts_of(measurements: Sequence[Measurement], command: str) -> dict[str, str]:
+def notes_of(measurements: Sequence[Measurement], about: About) -> list[str]:
+    """What must be known to judge the figures."""
+    return [*tables.notes(measurements), *(f"Left out: {what}." for what in about.left_out)]
+
+
+def facts_of(measurements: Sequence[Measurement]) -> dict[str, str]:
     """On what and how it was made."""
     sizes = dict.fromkeys(f"{m.width}x{m.height}" for m in measurements)
     seeds = dict.fromkeys(str(m.seed) for m in measurements)
@@ -77,7 +97,6 @@ def facts_of(measurements: Sequence[Measurement], command: str) -> dict[str, str
         "Software": "; ".join(packages),
         "Commit": ", ".join(dict.fromkeys(m.commit for m in measurements if m.commit)),
         "Measured": ", ".join(sorted({m.run for m in measurements})),
-        "Made by": command,
     }
     return {name: value for name, value in facts.items() if value}
 

@@ -7,18 +7,23 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pathfold.bench import candidates, results, run, subjects
+from pathfold.bench.about import About
 from pathfold.bench.measurement import Measurement
+from pathfold.images import replacing
 from pathfold.pixels import save_sheet
-from pathfold.report import tables
+from pathfold.report import tables, write
 from rich.console import Console
 from rich.progress import Progress
 
 
-def evaluate(scenes: Path, out: Path, models: list[str], spp: int = 8, seeds: int = 3) -> list[Measurement]:
+def evaluate(
+    scenes: Path, out: Path, models: list[str], spp: int = 8, seeds: int = 3, command: str = "pathfold-train evaluate"
+) -> list[Measurement]:
     """Measure every method on every scene and write results.jsonl, table.md and a picture per scene into `out`.
 
-    `scenes` holds folders with scene.xml and reference.exr. Every run measures anew and replaces what `out` held.
-    Raises ValueError where no such folder is found, or nothing could be measured.
+    `command` is what the table says that it was made by. `scenes` holds folders with scene.xml and reference.exr. Every
+    run measures anew and replaces what `out` held. Raises ValueError where no such folder is found, or nothing could be
+    measured.
     """
     folders = sorted(p.parent for p in scenes.glob("*/reference.exr") if (p.parent / "scene.xml").is_file())
     if not folders:
@@ -44,16 +49,25 @@ def evaluate(scenes: Path, out: Path, models: list[str], spp: int = 8, seeds: in
             sheet = [pictures / scene / f"{method.name}-{spp}spp.png" for method in methods]
             shown = [path for path in [*sheet, pictures / scene / "reference.png"] if path.is_file()]
             save_sheet(out / f"{scene}-{spp}spp.jpg", shown)
-    (out / "table.md").write_text(table(rows, spp), encoding="utf-8")
+    About(command, tuple(map(str, problems))).save(out)
+    with replacing(out / write.TABLE) as unfinished:
+        unfinished.write_text(table(*write.read(out)), encoding="utf-8")
     return rows
 
 
-def table(rows: Sequence[Measurement], spp: int) -> str:
+def table(rows: Sequence[Measurement], about: About) -> str:
     """Markdown: RelL2 per scene and method, all means, then manifold against vanilla."""
-    seeds = len({row.seed for row in rows})
-    lines = [f"RelL2 at {spp} spp, geometric mean over {seeds} render seeds, noise of the reference removed.", ""]
+    spp, seeds = rows[0].spp, len({row.seed for row in rows})
+    scenes, methods = results.names(rows, "scene"), results.names(rows, "method")
+    pictures = ", ".join(f"[{scene}]({scene}-{spp}spp.jpg)" for scene in scenes)
+    lines = [f"# Errors at {spp} spp", ""]
+    lines += [f"RelL2, geometric mean over {seeds} render seeds, noise of the reference removed.", ""]
+    order = ", ".join([*methods, "the reference"])
+    lines += [f"    {about.command}", "", f"Pictures, in rows of three {order}: {pictures}.", ""]
     lines += [tables.markdown(tables.by_scene(rows, spp)), tables.markdown(tables.by_method(rows))]
-    return "\n".join([*lines, *(f"- {note}" for note in tables.notes(rows)), *paired(rows)]) + "\n"
+    lines += [f"- {note}" for note in write.notes_of(rows, about)]
+    lines += [f"- {name}: {value}" for name, value in write.facts_of(rows).items()]
+    return "\n".join([*lines, *paired(rows)]) + "\n"
 
 
 def paired(rows: Sequence[Measurement]) -> list[str]:
