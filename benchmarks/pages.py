@@ -2,7 +2,8 @@
 
     python benchmarks/pages.py [FOLDER]
 
-makes every page in FOLDER (docs/results) anew from its data, after a word of it was changed, say.
+makes every page in FOLDER (docs/results) anew from its data, those of `pathfold bench`, `pathfold-train evaluate` and
+`pathfold plan --check` too.
 """
 
 import argparse
@@ -16,9 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from pathfold import models
+from pathfold.bench import about, results
 from pathfold.bench.candidates import NOISY, PEERS, Candidate
 from pathfold.bench.machine import machine
 from pathfold.images import replacing
+from pathfold.plan import check, curves
+from pathfold.report import write
+from pathfold_training.release import evaluate
 
 RESULTS = Path("docs/results")
 DIGITS = 6  # significant ones of what was measured
@@ -53,7 +58,7 @@ class Findings:
         old = json.loads(self._path.read_text(encoding="utf-8")) if self._path.exists() else {}
         self._kept: list[Row] = old.get("rows", [])
         self._date: str = old.get("date", "")
-        self._models = {c.name: c.identity for c in candidates if c.name not in (NOISY, *PEERS)}
+        self._models = {c.name: c.identity for c in candidates if is_model(c.name)}
         self.rows: list[Row] = []  # of this run
         self.fresh = False  # whether one was measured in this run
 
@@ -86,19 +91,11 @@ class Findings:
 
 
 def command(arguments: Sequence[str]) -> str:
-    """How a benchmark was called. What lies outside the working folder keeps the end of its path alone, as
-    SCENES/validation: where it lay is of this machine. Where the page goes is told by the page."""
-    shown = ["python", *map(without_place, arguments)]
-    for option in {"-o", "--output"} & {*shown}:
-        del shown[shown.index(option) : shown.index(option) + 2]
-    return " ".join(shown)
-
-
-def without_place(argument: str) -> str:
-    path = Path(argument).absolute()
-    if path.is_relative_to(Path.cwd()):
-        return str(path.relative_to(Path.cwd())) if path.exists() else argument
-    return f"{path.parent.name.upper()}/{path.name}"
+    """How a benchmark was called; where its page goes is told by the page."""
+    words = ["python", *arguments]
+    for option in {"-o", "--output"} & {*words}:
+        del words[words.index(option) : words.index(option) + 2]
+    return about.command(words)
 
 
 def family() -> list[str]:
@@ -116,12 +113,31 @@ def rounded(value: Any) -> Any:
 
 
 def every(folder: Path) -> dict[Path, str]:
-    """Each page of benchmarks in a folder, and what its data say that it is."""
+    """Each page in a folder of results, and what its data say that it is."""
     found = {}
     for path in sorted(folder.glob("*.json")):
         page: Page = importlib.import_module(path.stem).PAGE
         found[path.with_suffix(".md")] = page.text(json.loads(path.read_text(encoding="utf-8")))
+    for path in sorted(folder.glob(f"*/{about.FILE}")):
+        measurements, made = write.read(path.parent)
+        table = evaluate.table if made.command.startswith("pathfold-train evaluate") else write.markdown
+        found[path.with_name(write.TABLE)] = table(measurements, made)
+    found[folder / "plan.md"] = check.markdown(curves.read(curves.SHIPPED), "pathfold plan --check")
     return found
+
+
+def weights(folder: Path) -> set[tuple[Path, str, str]]:
+    """The data of results, the models that they are of, and the identities of these when they were measured."""
+    found = set()
+    for path in folder.glob("*.json"):
+        found |= {(path, *model) for model in json.loads(path.read_text(encoding="utf-8"))["models"].items()}
+    for path in folder.glob("*/results.jsonl"):
+        found |= {(path, m.method, m.identity) for m in results.read(path).values() if is_model(m.method)}
+    return found
+
+
+def is_model(method: str) -> bool:
+    return method not in (NOISY, *PEERS)
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 import ablation
 import energy
 import loader
+import pages
 import paths_gain
 
 TINY = {
@@ -149,3 +150,26 @@ def test_gain_is_of_errors_summed_over_seeds() -> None:
         *_, means, won = paths_gain.scene_table(rows, metric, metric).splitlines()
         assert means == f"| geometric mean |  | {mean} |" and won == f"| smaller with paths |  | {wins} |"
     assert paths_gain.class_table(rows).splitlines()[-1] == "| d | 100.0% | 100.0% | 2 | 1.000 |"
+
+
+def test_findings_go_on_where_they_were_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["benchmarks/toy.py", str(tmp_path / "scenes"), "-o", str(tmp_path)])
+    page = pages.Page(
+        "toy", "Toys", "Of toys.", lambda rows: " ".join(f"{row['scene']} {row['error']}" for row in rows)
+    )
+
+    def run(scenes: str) -> None:
+        findings = pages.Findings(page, tmp_path, [])
+        for scene in scenes:
+            findings.row({"scene": scene, "seeds": (0, 1)}, lambda: {"error": counter.pop() / 3})
+        findings.finish()
+
+    counter = [1, 2]
+    run("ab")
+    run("ba")
+    assert not counter and (tmp_path / "toy.md").read_text().endswith("\nb 0.333333 a 0.666667\n")
+    run("b")
+    data = json.loads((tmp_path / "toy.json").read_text())
+    assert data["rows"] == [{"scene": "b", "seeds": [0, 1], "error": 0.333333}]
+    assert page.text(data) == (tmp_path / "toy.md").read_text()
+    assert data["command"] == f"python benchmarks/toy.py {tmp_path.name.upper()}/scenes"
