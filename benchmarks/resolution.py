@@ -119,7 +119,8 @@ def tables(rows: Sequence[pages.Row]) -> str:
             cells = [f"{median(each):.3f}" for each in found]
             cells += [f"{sum(ratio < 1 for ratio in each)} of {len(each)}" for each in found]
             over.append([model, str(spp), *cells])
-    parts = [f"Median over windows of the quotients of errors, {len({r['seed'] for r in rows})} seeds:", markdown(over)]
+    seeds = ", ".join(map(str, sorted({row["seed"] for row in rows})))
+    parts = [f"Medians over windows of the quotients of errors; render seeds {seeds}:", markdown(over)]
     for spp in spps:
         own = {scene: found for (scene, level), found in errors.items() if level == spp}
         table = [["scene", *names]]

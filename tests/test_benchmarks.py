@@ -23,6 +23,7 @@ import energy
 import loader
 import pages
 import paths_gain
+import resolution
 
 TINY = {
     "network": {"widths": [16, 16, 16, 16], "convolutions": [1, 1, 1, 1], "embedding": 2},
@@ -173,3 +174,16 @@ def test_findings_go_on_where_they_were_stopped(tmp_path: Path, monkeypatch: pyt
     assert data["rows"] == [{"scene": "b", "seeds": [0, 1], "error": 0.333333}]
     assert page.text(data) == (tmp_path / "toy.md").read_text()
     assert data["command"] == f"python benchmarks/toy.py {tmp_path.name.upper()}/scenes"
+
+
+def test_windows_are_compared_one_by_one_over_seeds() -> None:
+    def row(seed: int, *ours: float) -> dict:
+        windows = {"noisy": [9.0, 9.0, 9.0], "oidn": [1.0, 1.0, 1.0], "pathfold-balanced": list(ours)}
+        return {"scene": "room", "spp": 8, "seed": seed, "windows": windows}
+
+    errors = resolution.over_seeds([row(0, 1.0, 4.0, -0.5), row(1, 0.6, 2.0, 0.1)])
+    assert resolution.ratios(errors, 8, "pathfold-balanced", "oidn") == pytest.approx([0.8, 3.0, resolution.FLOOR])
+    assert resolution.worst(errors)[:2] == [("room", 1, 3.0), ("room", 0, 0.8)]
+    assert "| pathfold-balanced | 8 | 0.800 | 2 of 3 |" in resolution.tables(
+        [row(0, 1.0, 4.0, -0.5), row(1, 0.6, 2.0, 0.1)]
+    )
