@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pathfold import models
 from pathfold.arguments import failure
 from pathfold.bench import peers
+from pathfold.denoiser import Denoiser
 
 NOISY = "noisy"
 PRECISIONS = ("fp32", "int8")  # what a model's name may end in, with a colon before it; without it: the default
@@ -106,7 +107,5 @@ def _peer(name: str) -> Candidate:
 
 
 def _model(folder: Path, precision: str) -> Run:
-    from pathfold.denoiser import Denoiser
-
     denoiser = Denoiser(folder, precision=precision)
     return lambda buffers, exposure, spp: denoiser.run_buffers(buffers, exposure=exposure, samples_per_pixel=spp).color

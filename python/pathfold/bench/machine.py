@@ -7,6 +7,8 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from pathfold import _core
+
 _PACKAGES = ("mitsuba", "onnxruntime", "pyoidn", "numpy")
 
 
@@ -26,9 +28,7 @@ def processor() -> str:
 @lru_cache(maxsize=1)
 def versions() -> dict[str, str]:
     """pathfold and what it measures with: package -> version, for those that are installed."""
-    from pathfold import version as own
-
-    found = {"pathfold": own()}
+    found = {"pathfold": _core.version()}
     for package in _PACKAGES:
         try:
             found[package] = version(package)

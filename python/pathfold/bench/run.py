@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pathfold import auto_exposure, metrics
+from pathfold import metrics
 from pathfold.bench import candidates, machine, peers, results
 from pathfold.bench.candidates import Candidate, Run
 from pathfold.bench.contest import Contest, Known
 from pathfold.bench.measurement import Measurement
 from pathfold.bench.reference import Reference, shared_exposure
 from pathfold.bench.subjects import Subject
+from pathfold.denoiser import auto_exposure
 from pathfold.images import OutputError, check_writable
 from pathfold.pixels import write_png
 

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from pathfold._core import version
 from pathfold.cli import console
 from pathfold.cli.bench import bench
 from pathfold.cli.check import check
@@ -33,8 +34,6 @@ for command in (denoise, render, info, compare, bench, plan, check):
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from pathfold import version
-
         console.say(f"pathfold {version()}")
         raise typer.Exit
 

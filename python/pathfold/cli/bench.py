@@ -1,16 +1,20 @@
 """`pathfold bench`: error against run time, of every method on your scenes."""
 
 import sys
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from pathfold.bench import candidates, run, subjects
+from pathfold.bench.about import About, command
 from pathfold.cli import console
 from pathfold.cli.console import InputError
-
-if TYPE_CHECKING:
-    from pathfold.bench.run import Problem, Progress
+from pathfold.plan import curves
+from pathfold.report import write
 
 
 def bench(
@@ -39,11 +43,6 @@ def bench(
     Scenes are rendered here; a reference.exr beside a scene is used, else one is rendered. A folder of EXRs needs a
     reference.exr. What DIR holds already is kept, so the same command goes on after an interruption.
     """
-    from pathfold.bench import candidates, run, subjects
-    from pathfold.bench.about import About, command
-    from pathfold.plan import curves
-    from pathfold.report import write
-
     check_packages()
     options = subjects.Options(
         spps=parse_numbers(spp),
@@ -63,8 +62,8 @@ def bench(
     run.make_folder(out)
     pictures = out / run.PICTURES
     try:
-        with Report(quiet) as report:
-            measurements, problems = run.measure(found, chosen, out, pictures, report.tell)
+        with Bar(quiet) as bar:
+            measurements, problems = run.measure(found, chosen, out, pictures, bar.tell)
     except KeyboardInterrupt:
         said = f"interrupted; what was measured is in {out / run.RESULTS}: the same command goes on"
         raise console.StoppedError(said) from None
@@ -79,13 +78,10 @@ def bench(
         raise typer.Exit(console.FAILED)
 
 
-class Report:
+class Bar:
     """Tells of a bench while it runs: a bar with the time left on a terminal; problems at once."""
 
     def __init__(self, quiet: bool) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
         terminal = Console(stderr=True)
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("left"))
         self._bar = Progress(
@@ -98,17 +94,15 @@ class Report:
         )
         self._task = self._bar.add_task("bench", total=None)
 
-    def __enter__(self) -> "Report":
+    def __enter__(self) -> "Bar":
         self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def tell(self, event: "Progress | Problem", total: float) -> None:
-        from pathfold.bench.run import Problem
-
-        if isinstance(event, Problem):
+    def tell(self, event: run.Progress | run.Problem, total: float) -> None:
+        if isinstance(event, run.Problem):
             console.complain(f"left out: {event}")
         else:
             self._bar.update(self._task, advance=event.work, total=total, description=event.text)
@@ -127,8 +121,6 @@ def parse_numbers(text: str) -> tuple[int, ...]:
 
 def check_packages() -> None:
     """Find out now, not after hours, what is not installed."""
-    from importlib.util import find_spec
-
     for package in ("flip_evaluator", "skimage", "jinja2", "matplotlib"):
         if find_spec(package) is None:
             raise ModuleNotFoundError(f"bench needs {package}: pip install 'pathfold[mitsuba,bench]'")

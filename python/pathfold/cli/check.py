@@ -1,18 +1,18 @@
 """`pathfold check`: is a model numerically stable?"""
 
 import json
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
+from pathfold import models
+from pathfold._core import version
+from pathfold.check import NOT_CHECKED, Report, check_model
+from pathfold.check.outcome import Row
 from pathfold.cli import console
-
-if TYPE_CHECKING:
-    from rich.table import Table
-    from rich.text import Text
-
-    from pathfold.check import Report
-    from pathfold.check.outcome import Row
 
 WIDTH = 110  # where the output is no terminal
 
@@ -35,31 +35,27 @@ def check(
 
     Exit code 0 if everything passes, else 1.
     """
-    from pathfold import check, models, version
-
     reports = []
     for name in model or list(models.available()):
         for precision in models.precisions(name):
             with console.progress(f"{name}, {precision}") as bar:
-                reports.append(check.check_model(name, provider, precision, bar))
+                reports.append(check_model(name, provider, precision, bar))
             if not as_json:
                 say(reports[-1])
     passed = all(report.passed for report in reports)
     if as_json:
         records = [report.record() for report in reports]
-        head = {"pathfold": version(), "provider": provider, "passed": passed, "not_checked": check.NOT_CHECKED}
+        head = {"pathfold": version(), "provider": provider, "passed": passed, "not_checked": NOT_CHECKED}
         console.say(json.dumps({**head, "models": records}))
     else:
-        for what in check.NOT_CHECKED:
+        for what in NOT_CHECKED:
             console.say(f"not checked: {what}")
     if not passed:
         raise typer.Exit(console.FAILED)
 
 
-def say(report: "Report") -> None:
+def say(report: Report) -> None:
     """The table of one model, and what it does not show."""
-    from rich.console import Console
-
     terminal = Console()
     terminal = terminal if terminal.is_terminal else Console(width=WIDTH)
     terminal.print(table(report))
@@ -72,10 +68,8 @@ def say(report: "Report") -> None:
         console.say(f"  left out, as the model reads no such buffer: {', '.join(report.skipped)}")
 
 
-def table(report: "Report") -> "Table":
+def table(report: Report) -> Table:
     """A rich table, a row for each case and property."""
-    from rich.table import Table
-
     made = Table(title=plain(f"{report.model}, {report.precision}"), title_justify="left")
     made.add_column("case", no_wrap=True)
     made.add_column(f"relative\nerror, {report.precision}", justify="right", no_wrap=True)
@@ -88,14 +82,12 @@ def table(report: "Report") -> "Table":
     return made
 
 
-def plain(text: str) -> "Text":
+def plain(text: str) -> Text:
     """Text of files and models as it is: neither markup nor control characters."""
-    from rich.text import Text
-
     return Text(console.harmless(text))
 
 
-def cells(row: "Row") -> list[str]:
+def cells(row: Row) -> list[str]:
     error = "" if row.error is None else f"{row.error:.1e}" if row.error else "0"
     worst = f"{row.worst[1]}, {row.worst[0]}" if row.worst else ""
     return [row.name, error, worst, yes(row.finite), yes(row.bounded), row.reason or "pass"]

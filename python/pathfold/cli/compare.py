@@ -6,8 +6,10 @@ from typing import Annotated
 
 import typer
 
+from pathfold.bench.reference import Reference, beauty
 from pathfold.cli import console
 from pathfold.cli.console import InputError
+from pathfold.images import ImageFile
 
 
 def compare(
@@ -19,9 +21,6 @@ def compare(
 
     Where the reference holds two independent halves (half_a, half_b), RelL2 leaves out its own noise.
     """
-    from pathfold.bench.reference import Reference, beauty
-    from pathfold.images import ImageFile
-
     x, r = beauty(ImageFile(image)), Reference.read(reference)
     if x.shape != r.mean.shape:
         sizes = (f"{path} is {at.shape[1]}x{at.shape[0]}" for path, at in ((image, x), (reference, r.mean)))

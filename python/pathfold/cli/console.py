@@ -12,6 +12,10 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from pathfold._core import PathfoldError
+from pathfold.images import ImageError, OutputError
+from pathfold.rendering import SceneError
+
 FAILED, USAGE, INPUT, MODEL, OUTPUT, INTERRUPTED = 1, 2, 3, 4, 5, 130
 _CODES = {
     "invalid-argument": INPUT,
@@ -76,10 +80,6 @@ def complain(error: object, program: str = "pathfold") -> None:
 
 def exit_code(error: Exception) -> int | None:
     """The exit code of an error that is expected to happen; None for a fault of the program itself."""
-    from pathfold import PathfoldError
-    from pathfold.images import ImageError, OutputError
-    from pathfold.rendering import SceneError
-
     if isinstance(error, typer.Abort | StoppedError):
         return INTERRUPTED
     if hasattr(error, "format_message"):  # typer's own usage errors
@@ -135,8 +135,6 @@ def check_model(name: str | None) -> str | None:
 @contextmanager
 def usage() -> Iterator[None]:
     """Around what is given options alone: those that the SDK refuses are wrong usage, not an input."""
-    from pathfold import PathfoldError
-
     try:
         yield
     except PathfoldError as error:

@@ -3,17 +3,18 @@
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from pathfold import models
+from pathfold.budget import Budget
+from pathfold.channels import Frame
 from pathfold.cli import console
 from pathfold.cli.console import InputError
-
-if TYPE_CHECKING:
-    from pathfold.channels import Frame
-    from pathfold.files import Denoised
+from pathfold.denoiser import Denoiser
+from pathfold.files import Denoised, denoise_file
+from pathfold.images import check_output
 
 
 def denoise(
@@ -71,11 +72,6 @@ def denoise(
     """
     buffers = parse_map(mapping or [])
     pairs = expand(source, output)
-    from pathfold.budget import Budget
-    from pathfold.denoiser import Denoiser
-    from pathfold.files import denoise_file
-    from pathfold.images import check_output
-
     for _, clean in pairs:
         check_output(clean)
     options: dict[str, Any] = {"provider": provider, "threads": threads, "precision": precision, "leave_out": leave_out}
@@ -150,7 +146,7 @@ def expand(source: Path, output: Path) -> list[tuple[Path, Path]]:
     ]
 
 
-def frame_lines(path: Path, frame: "Frame") -> Iterator[str]:
+def frame_lines(path: Path, frame: Frame) -> Iterator[str]:
     """What was mapped to what."""
     width, height = frame.size
     yield f"{path}: {width}x{height}, channel names of {frame.preset.title}"
@@ -158,7 +154,7 @@ def frame_lines(path: Path, frame: "Frame") -> Iterator[str]:
         yield f"  {line}"
 
 
-def noisy_layers(one: "Denoised") -> list[str]:
+def noisy_layers(one: Denoised) -> list[str]:
     """The parts of the beauty that the model did not filter and nobody asked for."""
     sources = one.frame.sources
     parts = {name: sources[name] for name in ("diffuse", "specular") if name in sources}

@@ -2,13 +2,19 @@
 
 import json
 from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from pathfold import _core, channels, models
+from pathfold.buffers import BUFFERS
+from pathfold.channels import samples
 from pathfold.cli import console
 from pathfold.cli.denoise import frame_lines
+from pathfold.denoiser import Denoiser
+from pathfold.images import ImageError, ImageFile
 
 
 def info(
@@ -27,15 +33,10 @@ def info(
 
 def installation() -> Iterator[str]:
     """The version, where models are searched and which there are."""
-    from importlib.metadata import PackageNotFoundError
-    from importlib.metadata import version as package_version
-
-    from pathfold import models, version
-
-    yield f"pathfold {version()}"
+    yield f"pathfold {_core.version()}"
     for package in ("onnxruntime", "mitsuba"):
         try:
-            yield f"{package} {package_version(package)}"
+            yield f"{package} {version(package)}"
         except PackageNotFoundError:
             yield f"{package} is not installed"
     yield "models:"
@@ -45,8 +46,6 @@ def installation() -> Iterator[str]:
 
 def model(name: str) -> Iterator[str]:
     """What a model reads and how it was made; the model is checked on the way."""
-    from pathfold import Denoiser
-
     loaded = Denoiser(name).model
     entry = loaded.manifest
     yield f"{entry['name']}: {entry.get('description', '')}"
@@ -76,11 +75,6 @@ def reconstruction(block: dict[str, Any]) -> str:
 
 def picture(path: Path) -> Iterator[str]:
     """The parts and layers of a file and the buffers that they would be."""
-    from pathfold import channels
-    from pathfold.buffers import BUFFERS
-    from pathfold.channels import samples
-    from pathfold.images import ImageError, ImageFile
-
     file = ImageFile(path)
     for number, spec in enumerate(file.parts):
         name = f" '{file.part_name(number)}'" if file.part_name(number) else ""

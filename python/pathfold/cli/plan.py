@@ -4,20 +4,23 @@ import json
 import sys
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
 
+from pathfold.bench.about import command
+from pathfold.bench.candidates import NOISY, PEERS
 from pathfold.cli import console
 from pathfold.cli.console import InputError
 from pathfold.cli.render import parse_size
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from pathfold.plan.choose import Choice, Plan
-    from pathfold.plan.curves import Sample
-    from pathfold.plan.prediction import Estimate, Prediction
+from pathfold.plan import check as checking
+from pathfold.plan import choose, curves
+from pathfold.plan.choose import Choice, Plan
+from pathfold.plan.curves import Sample
+from pathfold.plan.prediction import Estimate, Prediction, held
 
 WIDTH = 100  # where the output is no terminal
 MARKS = (("\N{RIGHTWARDS ARROW}", "bold"), ("\N{MULTIPLICATION SIGN}", "dim"))
@@ -51,10 +54,6 @@ def plan(
 
     Without --error and --seconds: all that no other beats in both.
     """
-    from pathfold.bench.about import command
-    from pathfold.plan import check as checking
-    from pathfold.plan import choose
-
     if check == (scene is not None):
         raise typer.BadParameter("either name a SCENE.xml to plan for, or give --check and no scene")
     if error is not None and seconds is not None:
@@ -80,10 +79,8 @@ def plan(
         show(scene, found, choice)
 
 
-def load(path: Path | None) -> "list[Sample]":
+def load(path: Path | None) -> list[Sample]:
     """The measurements to plan from; those that come with the package where none are named."""
-    from pathfold.plan import curves
-
     if path is None and not curves.SHIPPED.is_file():
         raise InputError(
             "no measurements come with this pathfold; name a folder of `pathfold bench`: --measurements DIR"
@@ -91,9 +88,7 @@ def load(path: Path | None) -> "list[Sample]":
     return curves.read(path or curves.SHIPPED)
 
 
-def target(found: "Plan", error: float | None, seconds: float | None) -> "Choice":
-    from pathfold.plan import choose
-
+def target(found: Plan, error: float | None, seconds: float | None) -> Choice:
     if error is not None:
         return choose.cheapest(found, error)
     if seconds is not None:
@@ -101,9 +96,7 @@ def target(found: "Plan", error: float | None, seconds: float | None) -> "Choice
     return choose.front(found)
 
 
-def show(scene: Path, found: "Plan", choice: "Choice") -> None:
-    from rich.console import Console
-
+def show(scene: Path, found: Plan, choice: Choice) -> None:
     width, height = found.size
     console.say(f"{scene}: {width}x{height}; its noise at one sample per pixel is RelL2 {found.noise:.3g}")
     terminal = Console()
@@ -113,11 +106,8 @@ def show(scene: Path, found: "Plan", choice: "Choice") -> None:
         console.say(sentence)
 
 
-def table(choice: "Choice") -> "Table":
+def table(choice: Choice) -> Table:
     """A rich table; the chosen row in bold with an arrow, methods that miss the target dim with a cross."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     made = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for title in ("", "method", "engine"):
         made.add_column(title, no_wrap=True)
@@ -132,7 +122,7 @@ def table(choice: "Choice") -> "Table":
     return made
 
 
-def span(value: "Estimate") -> str:
+def span(value: Estimate) -> str:
     return f"{figure(value.low)} to {figure(value.high)}" if isfinite(value.factor) else "?"
 
 
@@ -142,12 +132,10 @@ def figure(value: float, digits: int = 2) -> str:
 
 
 def engine(method: str) -> str:
-    from pathfold.bench.candidates import NOISY, PEERS
-
     return "" if method == NOISY else "OIDN" if method in PEERS else "onnxruntime"
 
 
-def words(found: "Plan", choice: "Choice") -> list[str]:
+def words(found: Plan, choice: Choice) -> list[str]:
     """The choice, and how sure it is."""
     said = []
     chosen, safe = choice.chosen, choice.safe
@@ -173,9 +161,7 @@ def words(found: "Plan", choice: "Choice") -> list[str]:
     return said
 
 
-def sure(point: "Prediction") -> str:
-    from pathfold.plan.prediction import held
-
+def sure(point: Prediction) -> str:
     if not isfinite(point.rell2.factor):
         return "How sure cannot be told: it takes two measured scenes to predict one from another."
     return (
@@ -185,7 +171,7 @@ def sure(point: "Prediction") -> str:
     )
 
 
-def record(found: "Plan", choice: "Choice") -> dict[str, Any]:
+def record(found: Plan, choice: Choice) -> dict[str, Any]:
     """A plan as plain data; where a range is not known, it is null."""
     return {
         "size": list(found.size),
@@ -199,8 +185,8 @@ def record(found: "Plan", choice: "Choice") -> dict[str, Any]:
     }
 
 
-def point_record(point: "Prediction") -> dict[str, Any]:
-    def ends(value: "Estimate") -> list[float] | None:
+def point_record(point: Prediction) -> dict[str, Any]:
+    def ends(value: Estimate) -> list[float] | None:
         return [value.low, value.high] if isfinite(value.factor) else None
 
     return {

@@ -7,8 +7,14 @@ from typing import Annotated, Literal
 
 import typer
 
+from pathfold import models, needs
+from pathfold._core import version
+from pathfold.channels import ALL_LIGHT
 from pathfold.cli import console
 from pathfold.cli.denoise import result_lines
+from pathfold.denoiser import Denoiser
+from pathfold.images import OutputError, check_output
+from pathfold.rendering import Camera, check_samples, write
 
 DEEPEST = 1 << 20  # scattering events, of either limit of a path's length: Dr.Jit's loops count in 32 bits
 
@@ -50,12 +56,6 @@ def render(
     samples as the model looks at.
     Without --for it holds whatever any shipped model reads. --auto prints what it leaves out, and why.
     """
-    from pathfold import models, needs, version
-    from pathfold.channels import ALL_LIGHT
-    from pathfold.denoiser import Denoiser
-    from pathfold.images import OutputError, check_output
-    from pathfold.rendering import Camera, check_samples, write
-
     if exposure is not None and not model:
         raise typer.BadParameter("goes with --denoise MODEL alone; leave it away", param_hint="'--exposure'")
     if model and for_model:
