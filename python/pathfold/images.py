@@ -6,10 +6,12 @@ the main picture, whose layer is "". In a file of several parts a layer may also
 """
 
 import os
+import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ _BAND = 64  # rows read or written at a time; a multiple of every scanline compr
 _KEPT_BYTES = 2 << 30  # a larger part is read layer by layer
 _LINEAR = (".exr", ".hdr", ".pfm", ".tif", ".tiff")  # what holds linear floats; others take 8 or 16 bits for a display
 MAX_CHANNELS = 4096  # of one part, as OpenImageIO writes EXRs
+_SAMPLE = re.compile(r"samples\.(\d+)\..+")
 _COMPONENTS = {"red": "R", "green": "G", "blue": "B", "alpha": "A"}
 # A 64-sample file has thousands of channels, more than OpenImageIO opens by itself.
 oiio.attribute("limits:channels", 1 << 16)
@@ -79,6 +82,14 @@ class ImageFile:
 
     def part_name(self, part: int) -> str:
         return str(self.parts[part].get_string_attribute("oiio:subimagename"))
+
+    @cached_property
+    def samples(self) -> tuple[int, list[str]] | None:
+        """The part that holds camera samples, and their numbers as channels write them; None where there are none."""
+        for part, spec in enumerate(self.parts):
+            if found := [match.group(1) for name in spec.channelnames if (match := _SAMPLE.fullmatch(name))]:
+                return part, sorted(set(found), key=int)
+        return None
 
     def metadata(self) -> dict[str, object]:
         """The first part's header entries."""

@@ -10,7 +10,6 @@
 A logarithm of nothing (the raw value is 0) is stored as -100. All are half floats but the density.
 """
 
-import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -36,7 +35,6 @@ def descriptor(vertices: int) -> tuple[str, ...]:
 DESCRIPTOR = descriptor(VERTICES)
 _FIELDS = {"descriptor": DESCRIPTOR, "density": ("path.density",), "valid": ("valid",)}
 _TYPES = {"descriptor": np.float16, "density": np.float32, "valid": np.float16}
-_CHANNEL = re.compile(r"samples\.(\d+)\.(.+)")
 
 Samples = dict[str, NDArray[np.floating]]
 
@@ -58,16 +56,12 @@ def to_part(samples: Mapping[str, NDArray[np.floating]]) -> NewPart:
 
 def count(file: ImageFile) -> int:
     """How many samples per pixel a file holds; 0 where it holds none."""
-    part = find(file)
-    return 0 if part is None else len({found.group(1) for found in _numbered(file, part)})
+    return len(file.samples[1]) if file.samples else 0
 
 
 def find(file: ImageFile) -> int | None:
     """The part that holds the samples, None where there is none."""
-    for number in range(len(file.parts)):
-        if any(_numbered(file, number)):
-            return number
-    return None
+    return file.samples[0] if file.samples else None
 
 
 def load(file: ImageFile) -> Samples:
@@ -75,12 +69,11 @@ def load(file: ImageFile) -> Samples:
 
     Raises ImageError where a field of a sample is missing or the size differs from the picture's.
     """
-    part = find(file)
-    if part is None:
+    if file.samples is None:
         raise ImageError(f"{file.path}: has no samples; `pathfold render` writes them")
-    channels = {name: number for number, name in enumerate(file.parts[part].channelnames)}
-    numbers = sorted({found.group(1) for found in _numbered(file, part)}, key=int)
+    part, numbers = file.samples
     spec = file.parts[part]
+    channels = {name: number for number, name in enumerate(spec.channelnames)}
     block, places = {}, {}
     vertices = sum(f"samples.{numbers[0]}.path.tag.{vertex}" in channels for vertex in range(VERTICES))
     for name, fields in {**_FIELDS, "descriptor": descriptor(max(vertices, 1))}.items():
@@ -96,7 +89,3 @@ def load(file: ImageFile) -> Samples:
             picked = rows[..., at].reshape(*rows.shape[:2], len(numbers), -1)
             block[name][:, row : row + len(rows)] = np.moveaxis(picked, 2, 0)
     return block
-
-
-def _numbered(file: ImageFile, part: int) -> list[re.Match[str]]:
-    return [found for name in file.parts[part].channelnames if (found := _CHANNEL.fullmatch(name))]
