@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from pathfold.cli import app, console
 
 # before torch is imported: several test processes whose threads wait for each other crawl
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -26,3 +27,17 @@ def tiny(tiny_models: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The tiny models can be named."""
     monkeypatch.setenv("PATHFOLD_MODEL_PATH", os.fspath(tiny_models))
     return tiny_models
+
+
+@pytest.fixture
+def run(tiny: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    """Run a command line in this process: (exit code, stdout, stderr)."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["pathfold", *map(str, arguments)])
+        capsys.readouterr()
+        code = console.run(app)
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call

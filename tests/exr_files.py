@@ -4,7 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
+from pathfold.channels import samples
+from pathfold.images import NewPart, write_parts
 
+RGB = ["R", "G", "B"]
 SIZE = (12, 9)  # width, height
 Parts = list[tuple[oiio.ImageSpec, np.ndarray]]
 
@@ -38,3 +41,26 @@ def write(path: Path, parts: Parts) -> Path:
 
 def noise(channels: int, seed: int = 0, size: tuple[int, int] = SIZE) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0, 4, (size[1], size[0], channels)).astype(np.float32)
+
+
+def beauty(path: Path, seed: int = 0, extra: int = 3) -> Path:
+    """A half-float picture with alpha, albedo and a layer that nobody knows."""
+    names = [*RGB, "A", *(f"albedo.{c}" for c in RGB), *(f"matte.{c}" for c in RGB[:extra])]
+    values = noise(len(names), seed)
+    values[..., 3:7] = np.clip(values[..., 3:7], 0, 1)
+    return write(path, [part("", names, ["half"] * len(names), values, artist="nobody")])
+
+
+def with_samples(path: Path, count: int = 2) -> Path:
+    """A picture of our own with split buffers and path descriptors."""
+    rng = np.random.default_rng(7)
+    block = {
+        "descriptor": rng.normal(0, 1, (count, SIZE[1], SIZE[0], 36)).astype(np.float16),
+        "density": rng.normal(0, 1, (count, SIZE[1], SIZE[0], 1)).astype(np.float32),
+    }
+    names = [*RGB, *(f"{layer}.{c}" for layer in ("diffuse", "specular", "diffuse.albedo") for c in RGB)]
+    values = noise(12)
+    values[..., :3] = values[..., 3:6] + values[..., 6:9]
+    buffers = NewPart("buffers", names, ["float"] * 12, SIZE, lambda first, last: values[first:last])
+    write_parts(path, [buffers, samples.to_part(block)], {"pathfold:version": "0", "pathfold:spp": count})
+    return path
