@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 import pages
-from pathfold import Denoiser, models, needs
+from pathfold import Denoiser, lean, models
 from pathfold.bench import candidates
-from pathfold.rendering import Camera
+from pathfold.rendering import Renderer
 from pathfold.report.tables import markdown
 
 SEED, MAX_DEPTH = 1, 8
@@ -53,26 +53,26 @@ def in_turn(calls: dict[str, Callable[[], None]], rounds: int) -> dict[str, floa
 
 def measure(path: Path, model: str, spp: int, width: int, rounds: int) -> dict[str, Any]:
     """One scene with one model: median seconds, the difference of the pictures, and what `render --auto` left out."""
-    camera = Camera(path, "llvm_ad_rgb", 0, None)
-    camera.use(0, (width, max(1, round(width * camera.size[1] / camera.size[0]))))
+    renderer = Renderer(path, "llvm_ad_rgb", 0, None)
+    renderer.use(0, (width, max(1, round(width * renderer.size[1] / renderer.size[0]))))
     reads, everything = models.inputs(model), models.shipped_inputs()
     settings = (spp, SEED, MAX_DEPTH, None)
-    frames: dict[str, needs.LeanFrame] = {}
+    frames: dict[str, lean.LeanFrame] = {}
 
     def trace(name: str) -> None:
         frames.pop(name, None)  # one block of samples at a time
         if name == "lean":
-            frames[name] = needs.trace(camera, *settings, reads, lambda done: None, models.path_samples(model))
+            frames[name] = lean.trace(renderer, *settings, reads, lambda done: None, models.path_samples(model))
         else:
-            frames[name] = needs.LeanFrame(
-                *camera.trace(*settings, everything, lambda done: None, models.shipped_path_samples()), "", []
+            frames[name] = lean.LeanFrame(
+                *renderer.trace(*settings, everything, lambda done: None, models.shipped_path_samples()), "", []
             )
 
     render = in_turn({name: lambda name=name: trace(name) for name in ("full", "lean")}, rounds)
     ready = {"full": Denoiser(model, leave_out="none"), "lean": Denoiser(model)}
     buffers = {}
     for name, frame in frames.items():
-        whole = needs.restore_split(frame.buffers, frame.all_light, reads) if frame.all_light else frame.buffers
+        whole = lean.restore_split(frame.buffers, frame.all_light, reads) if frame.all_light else frame.buffers
         buffers[name] = whole | {f"samples.{kind}": block for kind, block in frame.samples.items()}
     shown = {}
 

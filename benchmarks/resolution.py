@@ -28,7 +28,7 @@ from pathfold.bench.results import FLOOR, geometric
 from pathfold.buffers import BUFFERS
 from pathfold.images import replacing
 from pathfold.pixels import jpeg
-from pathfold.rendering import Camera
+from pathfold.rendering import Renderer
 from pathfold.report.tables import markdown
 
 SHOWN = (NOISY, "oidn", "pathfold-balanced")  # of a picture; then the reference
@@ -48,14 +48,14 @@ class Frame:
             self.size: tuple[int, int] = tuple(found["size"].tolist())
         self.scene, self.name = scene, crops.stem
         self.inputs = sha256(scene.read_bytes() + crops.read_bytes()).hexdigest()[:12]
-        self._camera: Camera | None = None
+        self._renderer: Renderer | None = None
 
     def windows(self, spp: int, seed: int, methods: Methods) -> Iterator[tuple[str, list[Image]]]:
         """Render, and give what each method makes of the frame: its windows, H x W x 3."""
-        self._camera = self._camera or Camera(self.scene, subjects.VARIANT, 0, self.size)
+        self._renderer = self._renderer or Renderer(self.scene, subjects.VARIANT, 0, self.size)
         recorded = max(candidate.path_samples for candidate, _ in methods.values())
         wanted = {*BUFFERS, "samples.descriptor", "samples.density"}
-        buffers, block, _ = self._camera.trace(spp, seed, self.depth, None, wanted, lambda done: None, recorded)
+        buffers, block, _ = self._renderer.trace(spp, seed, self.depth, None, wanted, lambda done: None, recorded)
         buffers |= {f"samples.{name}": pixels for name, pixels in block.items()}
         height, width = self.halves[0].shape[1:3]
         for name, (candidate, run) in methods.items():
@@ -64,7 +64,7 @@ class Frame:
 
     def release(self) -> None:
         """Forget the scene; it is read again where it is needed again."""
-        self._camera = None
+        self._renderer = None
 
     def errors(self, spp: int, seed: int, methods: Methods) -> dict[str, Any]:
         """RelL2 of every window by every method."""

@@ -148,7 +148,7 @@ def test_a_network_that_fails_is_found(run: Any) -> None:
     assert "no finite kernel" in plain["reason"]
 
 
-@pytest.mark.parametrize(("arguments", "code"), [(["--model", "nobody"], 4), (["--engine", "abacus"], 4), (["x"], 2)])
+@pytest.mark.parametrize(("arguments", "code"), [(["--model", "nobody"], 4), (["--provider", "abacus"], 4), (["x"], 2)])
 def test_wrong_use_is_one_line(run: Any, arguments: list[str], code: int) -> None:
     found, out, error = run(*arguments)
     assert found == code and not out and error.count("\n") == 1

@@ -37,7 +37,7 @@ def test_a_law_that_holds_is_found() -> None:
         assert clean.rell2.value == pytest.approx(math.sqrt(12) * spp**-0.7)
         assert clean.rell2.factor == pytest.approx(1)
         assert clean.seconds.value == pytest.approx((2.4 * (30 + 100 * spp) + 70) / 1000)
-    pairs = prediction.left_out(measured)
+    pairs = prediction.cross_validated(measured)
     assert len(pairs) == 3 * 2 * len(SPPS)
     assert all(p.rell2.value == pytest.approx(s.rell2) for s, p in pairs)
 
@@ -73,15 +73,15 @@ def planned() -> choose.Plan:
 
 
 def test_the_cheapest_and_the_best_are_chosen_between_measured_spp(planned: choose.Plan) -> None:
-    choice = choose.cheapest(planned, 0.0707)  # half way from 2 to 8 in log-log, and a little below
-    assert choice.chosen and (choice.chosen.method, choice.chosen.spp) == ("clean", 5)
-    assert [(p.method, p.spp) for p in choice.reached] == [("clean", 5), ("noisy", 29)]
-    assert choice.safe and choice.safe.method == "clean" and choice.safe.rell2.high <= 0.0707 and choice.safe.spp > 5
-    choice = choose.cheapest(planned, 0.04)
-    assert [p.method for p in choice.missed] == ["noisy"] and choice.missed[0].spp == 32 and choice.safe is None
-    choice = choose.best(planned, 1.5)
-    assert choice.chosen and (choice.chosen.method, choice.chosen.spp) == ("noisy", 3)
-    assert [(p.method, p.spp) for p in choice.missed] == [("clean", 2)]
+    advice = choose.cheapest(planned, 0.0707)  # half way from 2 to 8 in log-log, and a little below
+    assert advice.chosen and (advice.chosen.method, advice.chosen.spp) == ("clean", 5)
+    assert [(p.method, p.spp) for p in advice.reached] == [("clean", 5), ("noisy", 29)]
+    assert advice.safe and advice.safe.method == "clean" and advice.safe.rell2.high <= 0.0707 and advice.safe.spp > 5
+    advice = choose.cheapest(planned, 0.04)
+    assert [p.method for p in advice.missed] == ["noisy"] and advice.missed[0].spp == 32 and advice.safe is None
+    advice = choose.best(planned, 1.5)
+    assert advice.chosen and (advice.chosen.method, advice.chosen.spp) == ("noisy", 3)
+    assert [(p.method, p.spp) for p in advice.missed] == [("clean", 2)]
     assert [(p.method, p.spp) for p in choose.front(planned).reached] == [
         ("noisy", 2),
         ("clean", 2),

@@ -186,7 +186,7 @@ def test_a_launch_made_ready_once_changes_nothing(scene: Any) -> None:
         (0, height),
         (0, height // 4),
         (height // 2, height // 4),
-    ):  # bands of rows, as Camera takes them
+    ):  # bands of rows, as Renderer takes them
         film["film.crop_offset"], film["film.crop_size"] = [0, offset], [width, rows]
         film.update()
         for spp, seed, recorded, depth in ((1, 1, 1, 6), (4, 2, 2, 6), (5, 3, 2, 6), (3, 3, 0, 4)):

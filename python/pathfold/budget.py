@@ -1,6 +1,6 @@
 """A run inside a budget of time or memory: which model, with or without paths, in tiles of what size.
 
-Nothing is assumed of the machine: each candidate denoises a piece from the middle of the frame, and what that
+Nothing is assumed of the machine: each way denoises a piece from the middle of the frame, and what that
 takes is scaled to the frame's windows (tiles with their overlap).
 """
 
@@ -32,7 +32,7 @@ Buffers = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Cost:
-    """What a trial tells of a candidate; milliseconds and bytes per pixel of a window, and of the frame."""
+    """What a trial tells of a way; milliseconds and bytes per pixel of a window, and of the frame."""
 
     window_ms: float
     frame_ms: float
@@ -40,8 +40,8 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What a candidate would come to in square tiles of `edge`."""
+class TilePlan:
+    """What a way would come to in square tiles of `edge`."""
 
     edge: int
     seconds: float
@@ -82,7 +82,9 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Way:
+    """A model, with the paths of its samples or without."""
+
     name: str
     paths: bool | None  # whether samples are read; None: the model has no choice
 
@@ -136,12 +138,12 @@ class Budget:
         samples_per_pixel: int = 0,
         later_mb: float = 0,
     ) -> Choice:
-        """The first candidate, in the order of PREFERRED and with paths before without, that stays inside.
+        """The first way, in the order of PREFERRED and with paths before without, that stays inside.
 
         `buffers` are those of the frame by name, height x width x channels, samples S x height x width x channels.
         `start` is when the clock began to run (perf_counter; None: now), `later_mb` what the caller will hold at a time
         beside the buffers and the denoiser, to write a file for example. Frames like one before get what that got.
-        Raises PathfoldError ("unsupported") that names the nearest candidate where none stays inside.
+        Raises PathfoldError ("unsupported") that names the nearest where none stays inside.
         """
         begin = perf_counter() if start is None else start
         shapes = tuple(sorted((name, pixels.shape) for name, pixels in buffers.items()))
@@ -153,9 +155,9 @@ class Budget:
     def _search(self, buffers: Buffers, begin: float, samples_per_pixel: int, later_mb: float) -> Choice:
         _check_sizes(buffers)
         refused: list[tuple[float, str]] = []
-        for candidate in self._candidates(buffers):
-            given = _without_paths(buffers) if candidate.paths is False else buffers
-            denoiser = Denoiser(candidate.name, **self._options)
+        for way in self._ways(buffers):
+            given = _without_paths(buffers) if way.paths is False else buffers
+            denoiser = Denoiser(way.name, **self._options)
             trial = Denoiser(denoiser.model, **self._options | {"leave_out": "none"})  # the piece may need nothing
             cost = _try(trial, given, samples_per_pixel)
             del trial  # its tensors are no part of what is held
@@ -163,14 +165,12 @@ class Budget:
             spent = perf_counter() - begin
             until = spent + TIME_MARGIN * plan.seconds
             if self.memory_mb is not None and plan.memory_mb > self.memory_mb:
-                refused.append((plan.memory_mb / self.memory_mb, f"{candidate}: needs {plan.memory_mb:.0f} MB"))
+                refused.append((plan.memory_mb / self.memory_mb, f"{way}: needs {plan.memory_mb:.0f} MB"))
             elif self.seconds is not None and until > self.seconds:
-                words = f"{candidate}: would take {plan.seconds:.2g} s, {spent:.2g} s are spent"
+                words = f"{way}: would take {plan.seconds:.2g} s, {spent:.2g} s are spent"
                 refused.append((until / self.seconds, words))
             else:
-                lines = [
-                    f"{candidate}, tiles of {plan.edge}: about {plan.seconds:.2g} s, less than {plan.memory_mb:.0f} MB"
-                ]
+                lines = [f"{way}, tiles of {plan.edge}: about {plan.seconds:.2g} s, less than {plan.memory_mb:.0f} MB"]
                 lines += [f"gave up {words}" for _, words in refused]
                 if plan.overlapping > 1.5:
                     lines.append(f"gave up larger tiles: with overlap these are {plan.overlapping:.1f} pictures")
@@ -183,7 +183,7 @@ class Budget:
             f"nothing stays inside {self}. Nearest is {words}; give {ceil(10 * ratio) / 10:g} times as much",
         )
 
-    def _candidates(self, buffers: Buffers) -> list[Candidate]:
+    def _ways(self, buffers: Buffers) -> list[Way]:
         found = []
         given = buffers.keys() | ({"color"} if {"diffuse", "specular"} <= buffers.keys() else set())
         for name in self.models:
@@ -191,13 +191,13 @@ class Budget:
             if not set(manifest["requires"]) <= given:
                 continue
             optional = "samples.descriptor" in manifest["uses"] and "samples.descriptor" in buffers
-            found += [Candidate(name, paths) for paths in ((True, False) if optional else (None,))]
+            found += [Way(name, paths) for paths in ((True, False) if optional else (None,))]
         if not found:
             needed = f"{', '.join(self.models)} require buffers that are not there"
             raise failure("invalid-argument", f"{needed}; there are {', '.join(sorted(buffers)) or 'none'}")
         return found
 
-    def _plan(self, cost: Cost, tiling: Tiling, buffers: Buffers, later_mb: float) -> Plan:
+    def _plan(self, cost: Cost, tiling: Tiling, buffers: Buffers, later_mb: float) -> TilePlan:
         """The largest tiles that the memory allows, or the smallest ones if none are small enough."""
         height, width = buffers["color" if "color" in buffers else "diffuse"].shape[:2]
         held = memory.in_use() + later_mb + width * height * _frame_bytes(buffers) / memory.MEBIBYTE
@@ -211,7 +211,7 @@ class Budget:
             if inside or parts == most:
                 break
         seconds = (cost.window_ms * total + cost.frame_ms * width * height) / 1000
-        return Plan(edge, seconds, needed, total / (width * height))
+        return TilePlan(edge, seconds, needed, total / (width * height))
 
 
 def _check_sizes(buffers: Buffers) -> None:

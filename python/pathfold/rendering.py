@@ -24,8 +24,8 @@ class SceneError(RuntimeError):
     """A scene that cannot be rendered; the message says why."""
 
 
-class Camera:
-    """A scene and the camera it is seen through."""
+class Renderer:
+    """Traces a scene through one of its cameras."""
 
     def __init__(self, path: Path, variant: str, sensor: int, size: tuple[int, int] | None) -> None:
         mi = load_mitsuba(variant)

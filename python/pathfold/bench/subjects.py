@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from pathfold import channels
-from pathfold.bench import reference as references
-from pathfold.bench.reference import Reference
+from pathfold.bench.reference import Reference, header, render
 from pathfold.bench.shot import Buffers, Shot
 from pathfold.bench.timing import SLOW_MS, in_turns
 from pathfold.buffers import BUFFERS
 from pathfold.channels import samples
 from pathfold.images import ImageError, ImageFile
-from pathfold.rendering import Camera
+from pathfold.rendering import Renderer
 
 VARIANT = "llvm_ad_rgb"
 DEEPEST, DEPTH = 64, 16  # a scene whose paths may be longer than DEEPEST is traced to DEPTH
@@ -63,17 +62,17 @@ class MitsubaSubject:
         return _fingerprint(files, asked)
 
     @cached_property
-    def _camera(self) -> Camera:
-        return Camera(self.path, VARIANT, 0, None)
+    def _renderer(self) -> Renderer:
+        return Renderer(self.path, VARIANT, 0, None)
 
     @cached_property
     def frames(self) -> int:
-        return len(self._camera.scene.sensors())
+        return len(self._renderer.scene.sensors())
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the picture that is rendered: the film's, until `shoot` is told another."""
-        return self._camera.size
+        return self._renderer.size
 
     @cached_property
     def _max_depth(self) -> int:
@@ -81,7 +80,7 @@ class MitsubaSubject:
         given = self._given_reference(0)
         if given and given.max_depth:
             return given.max_depth
-        found = re.search(r"max_depth = (\d+)", str(self._camera.scene.integrator()))
+        found = re.search(r"max_depth = (\d+)", str(self._renderer.scene.integrator()))
         return int(found.group(1)) if found and 1 <= int(found.group(1)) <= DEEPEST else DEPTH
 
     def reference(self, frame: int, bar: Bar) -> Reference:
@@ -91,10 +90,10 @@ class MitsubaSubject:
         options, depth = self.options, self._max_depth
         path = options.references / f"{self.name}.{self.fingerprint()}.{frame:04d}.exr"
         if not path.is_file():
-            self._camera.use(frame, None)
+            self._renderer.use(frame, None)
             path.parent.mkdir(parents=True, exist_ok=True)
-            references.render(
-                self._camera.scene,
+            render(
+                self._renderer.scene,
                 options.reference_spp,
                 options.reference_seconds / self.frames,
                 bar,
@@ -116,7 +115,7 @@ class MitsubaSubject:
         At the first seed with as many as each of the others and with none too, in turn: for the time that it takes.
         Equal arguments, equal frames.
         """
-        self._camera.use(frame, size)
+        self._renderer.use(frame, size)
         if self._warm != (frame, size):
             for kind in (0, 1) if max(recorded, default=0) else (0,):
                 self._trace(1, 0, kind)  # compiles the kernels and makes them ready
@@ -142,7 +141,7 @@ class MitsubaSubject:
 
     def _trace(self, spp: int, seed: int, recorded: int) -> Buffers:
         wanted = {*BUFFERS, *({"samples.descriptor", "samples.density"} if recorded else ())}
-        buffers, block, _ = self._camera.trace(spp, seed, self._max_depth, None, wanted, lambda done: None, recorded)
+        buffers, block, _ = self._renderer.trace(spp, seed, self._max_depth, None, wanted, lambda done: None, recorded)
         return {**buffers, **{f"samples.{name}": pixels for name, pixels in block.items()}}
 
 
@@ -186,7 +185,7 @@ class PictureSubject:
             file = ImageFile(paths[0])
             spp = _spp(file, stem)
             named = re.search(r"seed(\d+)", stem)
-            seed = references.header(file, "pathfold:seed")
+            seed = header(file, "pathfold:seed")
             seed = seed if seed is not None else int(named.group(1)) if named else 0
             while (spp, seed) in found:
                 seed += 1
@@ -268,7 +267,7 @@ def _spp(file: ImageFile, stem: str) -> int:
     """Samples per pixel: from the header, the name, or the block of samples."""
     entries = file.metadata()
     keys = ["pathfold:spp", *(key for key in entries if re.fullmatch(r"cycles\..+\.samples", key))]
-    numbers = [number for key in keys if (number := references.header(file, key))]
+    numbers = [number for key in keys if (number := header(file, key))]
     named = re.search(r"(\d+)\s*spp", stem)
     spp = numbers[0] if numbers else int(named.group(1)) if named else samples.count(file)
     if spp < 1:

@@ -24,9 +24,7 @@ def check(
             "-m", "--model", help="A model's name or folder; repeat for more. Default: all that can be named."
         ),
     ] = None,
-    provider: Annotated[
-        str, typer.Option("--engine", "--provider", help="The onnxruntime execution provider.")
-    ] = "cpu",
+    provider: Annotated[str, typer.Option("--provider", help="The onnxruntime execution provider.")] = "cpu",
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Run stiff and extreme frames through models: against float64 references, and as properties.

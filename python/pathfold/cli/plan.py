@@ -18,7 +18,7 @@ from pathfold.cli.console import InputError
 from pathfold.cli.render import parse_size
 from pathfold.plan import check as checking
 from pathfold.plan import choose, curves
-from pathfold.plan.choose import Choice, Plan
+from pathfold.plan.choose import Advice, Plan
 from pathfold.plan.curves import Sample
 from pathfold.plan.prediction import Estimate, Prediction, held
 
@@ -70,13 +70,13 @@ def plan(
     try:
         with console.progress(f"look at {scene.name}", quiet=as_json):
             found = choose.look(scene, measured, film)
-        choice = target(found, error, seconds)
+        advice = target(found, error, seconds)
     except choose.PlanError as problem:
         raise InputError(f"{scene}: {problem}") from problem
     if as_json:
-        console.say(json.dumps(record(found, choice)))
+        console.say(json.dumps(record(found, advice)))
     else:
-        show(scene, found, choice)
+        show(scene, found, advice)
 
 
 def load(path: Path | None) -> list[Sample]:
@@ -88,7 +88,7 @@ def load(path: Path | None) -> list[Sample]:
     return curves.read(path or curves.SHIPPED)
 
 
-def target(found: Plan, error: float | None, seconds: float | None) -> Choice:
+def target(found: Plan, error: float | None, seconds: float | None) -> Advice:
     if error is not None:
         return choose.cheapest(found, error)
     if seconds is not None:
@@ -96,28 +96,28 @@ def target(found: Plan, error: float | None, seconds: float | None) -> Choice:
     return choose.front(found)
 
 
-def show(scene: Path, found: Plan, choice: Choice) -> None:
+def show(scene: Path, found: Plan, advice: Advice) -> None:
     width, height = found.size
     console.say(f"{scene}: {width}x{height}; its noise at one sample per pixel is RelL2 {found.noise:.3g}")
     terminal = Console()
     terminal = terminal if terminal.is_terminal else Console(width=WIDTH)
-    terminal.print(table(choice))
-    for sentence in words(found, choice):
+    terminal.print(table(advice))
+    for sentence in words(found, advice):
         console.say(sentence)
 
 
-def table(choice: Choice) -> Table:
+def table(advice: Advice) -> Table:
     """A rich table; the chosen row in bold with an arrow, methods that miss the target dim with a cross."""
     made = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for title in ("", "method", "engine"):
         made.add_column(title, no_wrap=True)
     for title in ("spp", "RelL2", "may be", "seconds", "may be"):
         made.add_column(title, justify="right", no_wrap=True)
-    for point in [*choice.reached, *choice.missed]:
-        mark, style = MARKS[0] if point is choice.chosen else MARKS[1] if point in choice.missed else ("", None)
+    for point in [*advice.reached, *advice.missed]:
+        mark, style = MARKS[0] if point is advice.chosen else MARKS[1] if point in advice.missed else ("", None)
         costs = [text for value in (point.rell2, point.seconds) for text in (figure(value.value, 3), span(value))]
         made.add_row(mark, console.harmless(point.method), engine(point.method), str(point.spp), *costs, style=style)
-    if choice.missed:
+    if advice.missed:
         made.caption, made.caption_justify = f"{MARKS[1][0]} misses the target; its nearest", "left"
     return made
 
@@ -135,10 +135,10 @@ def engine(method: str) -> str:
     return "" if method == NOISY else "OIDN" if method in PEERS else "onnxruntime"
 
 
-def words(found: Plan, choice: Choice) -> list[str]:
-    """The choice, and how sure it is."""
+def words(found: Plan, advice: Advice) -> list[str]:
+    """The advice, and how sure it is."""
     said = []
-    chosen, safe = choice.chosen, choice.safe
+    chosen, safe = advice.chosen, advice.safe
     if chosen:
         way = f"denoise with {chosen.method}" if engine(chosen.method) else "leave it noisy"
         said.append(
@@ -150,7 +150,7 @@ def words(found: Plan, choice: Choice) -> list[str]:
                 f"To stay below it at the upper end of the range: {safe.method} at {safe.spp} spp, "
                 f"about {figure(safe.seconds.value)} s."
             )
-    said.append(sure(chosen or choice.reached[-1]))
+    said.append(sure(chosen or advice.reached[-1]))
     low, high = found.measured_noise
     if not low <= found.noise <= high:
         said.append(
@@ -171,16 +171,16 @@ def sure(point: Prediction) -> str:
     )
 
 
-def record(found: Plan, choice: Choice) -> dict[str, Any]:
+def record(found: Plan, advice: Advice) -> dict[str, Any]:
     """A plan as plain data; where a range is not known, it is null."""
     return {
         "size": list(found.size),
         "noise": found.noise,
         "measured_noise": list(found.measured_noise),
-        "chosen": choice.chosen and point_record(choice.chosen),
-        "safe": choice.safe and point_record(choice.safe),
-        "reached": [point_record(point) for point in choice.reached],
-        "missed": [point_record(point) for point in choice.missed],
+        "chosen": advice.chosen and point_record(advice.chosen),
+        "safe": advice.safe and point_record(advice.safe),
+        "reached": [point_record(point) for point in advice.reached],
+        "missed": [point_record(point) for point in advice.missed],
         "left_out": found.left_out,
     }
 

@@ -7,14 +7,14 @@ from typing import Annotated, Literal
 
 import typer
 
-from pathfold import models, needs
+from pathfold import lean, models
 from pathfold._core import version
 from pathfold.channels import ALL_LIGHT
 from pathfold.cli import console
 from pathfold.cli.denoise import result_lines
 from pathfold.denoiser import Denoiser
 from pathfold.images import OutputError, check_output
-from pathfold.rendering import Camera, check_samples, write
+from pathfold.rendering import Renderer, check_samples, write
 
 DEEPEST = 1 << 20  # scattering events, of either limit of a path's length: Dr.Jit's loops count in 32 bits
 
@@ -72,15 +72,15 @@ def render(
     recorded = models.path_samples(reader) if reader else models.shipped_path_samples()
     if not model:
         check_samples(output, min(recorded, spp), max_depth)
-    camera = Camera(scene, variant, sensor, parse_size(size))
+    renderer = Renderer(scene, variant, sensor, parse_size(size))
     with console.progress(f"render {scene.name}", quiet) as bar:
         start = perf_counter()
         settings = (spp, seed, max_depth, rr_depth, reads, bar, recorded)
-        frame = needs.trace(camera, *settings) if auto else needs.LeanFrame(*camera.trace(*settings), "", [])
+        frame = lean.trace(renderer, *settings) if auto else lean.LeanFrame(*renderer.trace(*settings), "", [])
         seconds = perf_counter() - start
     buffers, samples, all_light = frame.buffers, frame.samples, frame.all_light
     if not quiet:
-        width, height = camera.size
+        width, height = renderer.size
         console.say(f"{scene}: {width}x{height}, {spp} spp, {seconds:.2f} s")
         if frame.dropped:
             console.say(f"  mended: {frame.dropped} samples were not finite and are left out")
@@ -89,7 +89,7 @@ def render(
     if denoiser:
         with console.progress(denoiser.model.name, quiet) as bar:
             blocks = {f"samples.{name}": block for name, block in samples.items()}
-            whole = needs.restore_split(buffers, all_light, reads) if all_light else buffers
+            whole = lean.restore_split(buffers, all_light, reads) if all_light else buffers
             result = denoiser.run_buffers({**whole, **blocks}, samples_per_pixel=spp, exposure=exposure, progress=bar)
         for line in () if quiet else result_lines(result.report):
             console.say(line)

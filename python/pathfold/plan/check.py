@@ -6,7 +6,7 @@ from statistics import fmean
 
 from pathfold.images import ImageError
 from pathfold.plan.curves import Sample
-from pathfold.plan.prediction import Estimate, Prediction, left_out
+from pathfold.plan.prediction import Estimate, Prediction, cross_validated
 from pathfold.report import tables
 
 Pair = tuple[Sample, Prediction]
@@ -19,7 +19,7 @@ def markdown(measured: Sequence[Sample], command: str) -> str:
 
     Raises ImageError where fewer than two scenes were measured.
     """
-    pairs = left_out(measured)
+    pairs = cross_validated(measured)
     if not pairs:
         raise ImageError("to predict one scene from another takes two scenes that were measured at the same spp")
     spps = sorted({s.spp for s, _ in pairs})

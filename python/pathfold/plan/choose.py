@@ -33,7 +33,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Choice:
+class Advice:
     """Predictions to choose from."""
 
     reached: list[Prediction]  # one per method, the best first; without a target, those that nothing beats
@@ -73,7 +73,7 @@ def look(path: Path, measured: Sequence[Sample], size: tuple[int, int] | None) -
     return Plan(wanted, spp * noise, (min(known), max(known)), predict(measured, pilot), left_out)
 
 
-def cheapest(plan: Plan, error: float) -> Choice:
+def cheapest(plan: Plan, error: float) -> Advice:
     """For each method the fewest samples that come down to an error, the least time first.
 
     Raises PlanError where none does.
@@ -93,10 +93,10 @@ def cheapest(plan: Plan, error: float) -> Choice:
             f"{least.method} at {least.spp} spp in {least.seconds.value:.3g} s: ask for that, or bench more spp"
         )
     by_time = sorted(reached, key=lambda p: p.seconds.value)
-    return Choice(by_time, missed, by_time[0], min(safe, key=lambda p: p.seconds.value, default=None))
+    return Advice(by_time, missed, by_time[0], min(safe, key=lambda p: p.seconds.value, default=None))
 
 
-def best(plan: Plan, seconds: float) -> Choice:
+def best(plan: Plan, seconds: float) -> Advice:
     """For each method the spp of least error within a time, the least error first. Raises PlanError where none fits."""
     reached, missed = [], []
     for curve in plan.curves:
@@ -113,16 +113,16 @@ def best(plan: Plan, seconds: float) -> Choice:
             f"{least.method} at {least.spp} spp: allow that, plan a smaller --size, or bench fewer spp"
         )
     by_error = sorted(reached, key=lambda p: p.rell2.value)
-    return Choice(by_error, missed, by_error[0])
+    return Advice(by_error, missed, by_error[0])
 
 
-def front(plan: Plan) -> Choice:
+def front(plan: Plan) -> Advice:
     """The measured spp and methods that no other beats in both time and error, by time."""
     found: list[Prediction] = []
     for point in sorted((p for curve in plan.curves for p in curve), key=lambda p: p.seconds.value):
         if not found or point.rell2.value < found[-1].rell2.value:
             found.append(point)
-    return Choice(found)
+    return Advice(found)
 
 
 def _every_spp(curve: Sequence[Prediction]) -> list[Prediction]:

@@ -106,7 +106,7 @@ def between(curve: Sequence[Prediction], spp: int) -> Prediction:
     )
 
 
-def left_out(measured: Sequence[Sample]) -> list[tuple[Sample, Prediction]]:
+def cross_validated(measured: Sequence[Sample]) -> list[tuple[Sample, Prediction]]:
     """Each scene predicted from all others, its own lowest spp the pilot: (measured, predicted).
 
     At that spp itself the time is no prediction, but what the pilot tells.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pathfold.channels import samples as sample_names
 from pathfold.models import ALL_SAMPLES
-from pathfold.rendering import Camera
+from pathfold.rendering import Renderer
 
 Block = dict[str, NDArray[Any]]
 
@@ -41,7 +41,7 @@ class LeanFrame:
 
 
 def trace(
-    camera: Camera,
+    renderer: Renderer,
     spp: int,
     seed: int,
     max_depth: int,
@@ -50,10 +50,10 @@ def trace(
     bar: Callable[[float], None],
     recorded: int = ALL_SAMPLES,
 ) -> LeanFrame:
-    """`Camera.trace` of what a model reads, without what the scene and the frame do not need."""
-    unneeded = of_scene(camera.scene, spp, reads)
+    """`Renderer.trace` of what a model reads, without what the scene and the frame do not need."""
+    unneeded = of_scene(renderer.scene, spp, reads)
     wanted = set(reads).difference(*(one.names for one in unneeded))
-    buffers, samples, dropped = camera.trace(spp, seed, max_depth, rr_depth, wanted, bar, recorded)
+    buffers, samples, dropped = renderer.trace(spp, seed, max_depth, rr_depth, wanted, bar, recorded)
     unneeded += of_frame(buffers)
     kept = {name: pixels for name, pixels in buffers.items() if not any(name in one.names for one in unneeded)}
     samples, trimmed = trim_vertices(samples)
