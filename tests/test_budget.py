@@ -99,8 +99,8 @@ def test_only_models_of_the_precision_that_is_asked_for_are_tried(monkeypatch: p
 
 def test_paths_are_given_up_before_the_model() -> None:
     pixels = frame() | {"samples.descriptor": np.zeros((2, 40, 56, 36), np.float16)}
-    candidates = [str(one) for one in Budget(PLENTY, model="pathfold-balanced")._candidates(pixels)]
-    assert candidates == ["pathfold-balanced with paths", "pathfold-balanced without paths"]
+    ways = [str(one) for one in Budget(PLENTY, model="pathfold-balanced")._ways(pixels)]
+    assert ways == ["pathfold-balanced with paths", "pathfold-balanced without paths"]
 
 
 @pytest.mark.usefixtures("tiny")
