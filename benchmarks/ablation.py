@@ -10,7 +10,7 @@ is done (to stderr) and kept, with all its settings; the same command goes on wh
 
 The pathfold family filters color as a whole. "diffuse and specular each" (two sets of kernels, the diffuse part divided
 by its own albedo) and "one 11x11 kernel" (41 kMAC per pixel where pathfold-fast's pyramid takes 37) are networks of
-this file, for training only.
+variants.py, for training only.
 """
 
 import argparse
@@ -18,7 +18,6 @@ import json
 import math
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
@@ -29,101 +28,20 @@ from unittest import mock
 
 import pages
 import torch
-import torch.nn.functional as functional
 from pathfold.report.tables import markdown
 from pathfold_training.dataset import store
 from pathfold_training.files import write_whole
-from pathfold_training.fit import task
 from pathfold_training.fit.checkpoint import commit, training_seconds
 from pathfold_training.fit.preset import Config, load_preset
 from pathfold_training.fit.train import fit
 from pathfold_training.fit.views import Stored, Window
-from pathfold_training.networks import pathfold
-from pathfold_training.networks.pathfold import (
-    ALBEDO_EPSILON,
-    Filtered,
-    Pathfold,
-    Prediction,
-    aligned,
-    clean_factor,
-    exact,
-    reconstruct,
-)
-from pathfold_training.networks.reconstruct import bounded_exp, normalised, weigh_taps
-from pathfold_training.networks.sizes import PathfoldSizes
+from pathfold_training.networks.families import FAMILIES
+from pathfold_training.networks.pathfold.network import Pathfold
+from pathfold_training.networks.pathfold.sizes import PathfoldSizes
 from pathfold_training.release.score import load, score
-from torch import Tensor, nn
+from variants import Modulated, SingleKernel, SplitKernels, Unbiased, Uncleaned, Unscaled
 
 SPPS = (2, 8, 32)
-SIDE = 11
-TAPS = [(dy, dx) for dy in range(SIDE) for dx in range(SIDE)]
-
-
-class SingleKernel(Pathfold):
-    """The same trunk and trust, but one 11x11 kernel per pixel instead of the pyramid."""
-
-    def __init__(self, network: PathfoldSizes) -> None:
-        super().__init__(network)
-        self.heads = nn.ModuleList([empty_head(network.widths[0], 4 * SIDE * SIDE)])
-
-    def predict(self, entrance: Tensor) -> Prediction:
-        trust, cleaning, (finest, *_) = self.features(entrance)
-        return Prediction(trust, [exact(self.heads[0](finest))], cleaning)
-
-    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Filtered:
-        predicted, paths = self(inputs, counts)
-        factor = pathfold.demodulator(inputs) if self.network.demodulate else torch.ones_like(inputs["radiance"])
-        factor = clean_factor(predicted, inputs["radiance"], factor)
-        image = self.weigh(predicted, inputs["radiance"] / factor)
-        return Filtered(image * factor, predicted.logits, paths, factor if self.cleans else None)
-
-    @staticmethod
-    def weigh(predicted: Prediction, image: Tensor) -> Tensor:
-        height, width = image.shape[-2:]
-        weight = torch.exp(functional.pixel_shuffle(predicted.trust, 2))
-        source = aligned(torch.cat([image, torch.ones_like(image[:, :1])], 1)) * weight
-        kernel = bounded_exp(functional.pixel_shuffle(predicted.logits[0], 2))
-        return normalised(weigh_taps(kernel, source, TAPS, SIDE // 2))[0][:, :, :height, :width]
-
-
-class SplitKernels(Pathfold):
-    """Diffuse and specular filtered by kernels of their own, from one trunk that sees the diffuse part too."""
-
-    def __init__(self, network: PathfoldSizes) -> None:
-        super().__init__(network)
-        self.diffuse = nn.Conv2d(4 * 3, network.widths[0], 3, padding=1, bias=False)  # beside self.first
-        self.heads = nn.ModuleList(empty_head(head.in_channels, 2 * head.out_channels) for head in self.heads)
-
-    def entrance(self, inputs: dict[str, Tensor], sums: Tensor) -> Tensor:
-        diffuse, _, factor = self.parts(inputs)
-        exposed = diffuse / factor * inputs["exposure"].reshape(-1, 1, 1, 1)
-        return super().entrance(inputs, sums) + self.diffuse(
-            functional.pixel_unshuffle(aligned(torch.log1p(exposed)), 2)
-        )
-
-    def filter(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> Filtered:
-        predicted, paths = self(inputs, counts)
-        logits = [exact(level) for level in predicted.logits]
-        diffuse, specular, factor = self.parts(inputs)
-        own, other = zip(*(level.chunk(2, 1) for level in logits), strict=True)
-        image, _ = reconstruct(predicted._replace(logits=list(own)), diffuse, factor)
-        rest, _ = reconstruct(predicted._replace(logits=list(other)), specular, None)
-        return Filtered(image + rest, logits, paths, None)
-
-    @staticmethod
-    def parts(inputs: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """Diffuse radiance, the rest, and what the first is divided by; in frames without a split all is the rest."""
-        split = inputs["split.present"].reshape(-1, 1, 1, 1)
-        diffuse = inputs["diffuse"] * split
-        return diffuse, torch.relu(inputs["radiance"] - diffuse), inputs["diffuse.albedo"] + ALBEDO_EPSILON
-
-
-def empty_head(inputs: int, outputs: int) -> nn.Conv2d:
-    """A 1x1 layer that begins at 0, as the family's heads do: uniform kernels."""
-    head = nn.Conv2d(inputs, outputs, 1)
-    nn.init.zeros_(head.weight)
-    nn.init.zeros_(head.bias)  # type: ignore[arg-type]
-    return head
 
 
 @dataclass(frozen=True)
@@ -144,7 +62,7 @@ VARIANTS = (
     Variant(BASELINE, "baseline", {}, all_seeds=True),
     Variant(BASELINE, "baseline, scored without paths", {}, all_seeds=True, paths=False),
     Variant("no-paths", "never any paths", {"data": {"drop_paths": 1.0}}, all_seeds=True, paths=False),
-    Variant("unscaled", "descriptors not scaled", {"network": {"scaled": False}}),
+    Variant("unscaled", "descriptors not scaled", {}, network=Unscaled),
     Variant("manifold-low", "manifold loss, lambda 0.00125", {"loss": {"manifold": 0.00125}}),
     Variant("manifold", "manifold loss, lambda 0.0125", {"loss": {"manifold": 0.0125}}, all_seeds=True),
     Variant("manifold-high", "manifold loss, lambda 0.0625", {"loss": {"manifold": 0.0625}}),
@@ -153,11 +71,11 @@ VARIANTS = (
     Variant("embedding-16", "16 embedding channels", {"network": {"embedding": 16}}),
     Variant("kernel-11", "one 11x11 kernel instead of the pyramid", {}, network=SingleKernel),
     Variant("robust", "robust loss", {"loss": {"image": "robust"}}),
-    Variant("unbiased", "unbiased loss", {"loss": {"image": "unbiased"}}),
+    Variant("unbiased", "unbiased loss", {"loss": {"image": "robust"}}, network=Unbiased),
     Variant("no-energy", "without the error of block means", {"loss": {"energy": 0.0}}),
-    Variant("split", "diffuse and specular each", {}, network=SplitKernels),
-    Variant("uncleaned", "albedo not cleaned", {"network": {"clean": False}}),
-    Variant("modulated", "not demodulated", {"network": {"demodulate": False}}),
+    Variant("split", "diffuse and specular each", {"loss": {"albedo": 0.0}}, network=SplitKernels),
+    Variant("uncleaned", "albedo not cleaned", {"loss": {"albedo": 0.0}}, network=Uncleaned),
+    Variant("modulated", "not demodulated", {"loss": {"albedo": 0.0}}, network=Modulated),
     Variant("scenes-25", "25 % of the scenes", {}, scenes=0.25),
     Variant("scenes-50", "50 % of the scenes", {}, scenes=0.5),
 )
@@ -195,8 +113,7 @@ def measure(
     variant: Variant, config: Config, seed: int, data: Path, run: Path, views: Sequence[Window]
 ) -> dict[str, Any]:
     """Train, or go on, and score: what a line of results.jsonl says beside its key."""
-    unlike = variant.network is not Pathfold
-    with mock.patch.object(task, "Pathfold", variant.network) if unlike else nullcontext():
+    with mock.patch.dict(FAMILIES, pathfold=FAMILIES["pathfold"]._replace(network=variant.network)):
         checkpoint = fit(config, data, run, seed, threads=1, validate_every=10**6)
         network = load(checkpoint)
         spps = [spp for spp in SPPS if spp <= min(view.samples for view in views)]

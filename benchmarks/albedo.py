@@ -21,7 +21,8 @@ from pathfold.report.tables import markdown
 from pathfold_training.fit.task import Denoising
 from pathfold_training.fit.views import Stored, ValidationViews, Window
 from pathfold_training.networks.losses import RELATIVE_EPSILON
-from pathfold_training.networks.pathfold import ALBEDO_EPSILON, Pathfold
+from pathfold_training.networks.pathfold.network import Pathfold
+from pathfold_training.networks.pathfold.unet import ALBEDO_EPSILON
 from pathfold_training.release.score import load
 
 BOUNDS = (0.005, 0.03, 0.1)  # between classes: standard deviation of the pixel's mean albedo over the albedo
@@ -80,7 +81,7 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(1)
     task = load(options.checkpoint)
-    if not isinstance(task.model, Pathfold) or not task.model.cleans:
+    if not isinstance(task.model, Pathfold):
         raise SystemExit(f"{options.checkpoint}: does not clean its albedo; name one of a pathfold preset")
     views = [view for view in Stored(options.data).held_out() if view.samples >= 2 * options.spp]
     if not views:

@@ -8,6 +8,7 @@ largest value.
 """
 
 import argparse
+import json
 import tempfile
 import time
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from pathfold.bench import candidates
 from pathfold.bench.results import geometric
 from pathfold.report.tables import markdown
 from pathfold_training.fit.views import Stored, ValidationViews
-from pathfold_training.release.quantise import CROPS, FILE, Feeds, network_feeds, quantised_copy, ratios, trained_as
+from pathfold_training.release.quantise import CROPS, FILE, Feeds, network_feeds, quantised_copy, ratios, trained_on
 from pathfold_training.release.without_paths import VIEWS
 
 
@@ -45,7 +46,7 @@ def measure(model: Path, data: Stored, options: argparse.Namespace) -> dict[str,
     source = model / "network.onnx"
     held_out = data.held_out()
     picked = held_out[:: max(1, len(held_out) // options.views)][: options.views]
-    paths = trained_as(model).network.path_samples
+    _, paths = trained_on(json.loads((model / "manifest.json").read_text()))
     with tempfile.TemporaryDirectory() as scratch:
         folder = quantised_copy(model, Path(scratch), data, options.crops, options.fp32, options.percentile)
         found = {spp: ratios(folder, ValidationViews(picked, paths, spp)) for spp in options.spp}

@@ -80,7 +80,7 @@ def measure(config: Config, data: Path, batches: int) -> dict[str, float]:
     times, size = [], 0
     for _ in range(batches + 1):
         loading, batch = seconds(lambda: next(stream))
-        size = sum(t.numel() * t.element_size() for t in (*batch.inputs.values(), *batch.reference.values()))
+        size = sum(t.numel() * t.element_size() for t in (*batch.inputs.values(), *batch.truth.values()))
         times.append((loading, seconds(lambda batch=batch: step(batch))[0], size / loading / 1e6))
     loading, training, rate = np.median(times[1:], 0)  # the first opens files
     return {"batch": float(loading), "step": float(training), "ratio": float(training / loading), "MB/s": float(rate)}

@@ -19,7 +19,7 @@ import torch
 from pathfold.report.tables import markdown
 from pathfold_training.fit.views import Stored, Window
 from pathfold_training.networks.losses import error_scale, robust_relative
-from pathfold_training.networks.pathfold import ALBEDO_EPSILON
+from pathfold_training.networks.pathfold.unet import ALBEDO_EPSILON
 from pathfold_training.networks.reconstruct import COARSEST_LOGITS, LEVEL_LOGITS, gather, gather_pyramid
 from torch import Tensor
 

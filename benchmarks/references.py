@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from statistics import fmean, median, stdev
 from typing import Any
+from unittest import mock
 
 import pages
 from pathfold.report.tables import markdown
@@ -25,10 +26,14 @@ from pathfold_training.dataset.render import render
 from pathfold_training.fit.preset import Config, load_preset
 from pathfold_training.fit.train import fit
 from pathfold_training.fit.views import Stored, Window
+from pathfold_training.networks.families import FAMILIES
+from pathfold_training.networks.pathfold.network import Pathfold
 from pathfold_training.release.score import load, score
+from variants import Unbiased
 
 ROUND = 8  # views between two looks at the clock
 HELD_OUT_SEED = 1000
+LOSSES = {"robust": Pathfold, "unbiased": Unbiased}
 
 
 def core_seconds() -> float:
@@ -55,12 +60,13 @@ def measure(budget: float, loss: str, preset: Config, held_out: Sequence[Window]
     render_for(60 * options.core_minutes, data, budget)
     views = store.read_index(data)
     optimiser = preset.optimiser.model_copy(update={"steps": options.steps})
-    chosen = preset.loss.model_copy(update={"image": loss})
+    chosen = preset.loss.model_copy(update={"image": "robust"})
     config = preset.model_copy(update={"loss": chosen, "optimiser": optimiser})
     scores = []
     for seed in range(options.seeds):
         run = options.work / "runs" / f"{budget:g}-{loss}-{seed}"
-        scores.append(score(load(fit(config, data, run, seed, 1, validate_every=10**6)), held_out))
+        with mock.patch.dict(FAMILIES, pathfold=FAMILIES["pathfold"]._replace(network=LOSSES[loss])):
+            scores.append(score(load(fit(config, data, run, seed, 1, validate_every=10**6)), held_out))
     facts = {name: median(view[name] for view in views) for name in ("reference_spp", "reference_rell2")}
     return {"views": len(views), **facts, "scores": scores}
 
@@ -106,7 +112,7 @@ def main() -> None:
     findings = pages.Findings(PAGE, options.output, [])
     asked = {name: getattr(options, name) for name in ("preset", "steps", "seeds", "core_minutes", "held_out", "clean")}
     for budget in options.budgets:
-        for loss in ("robust", "unbiased"):
+        for loss in LOSSES:
             key = {"budget": budget, "loss": loss, "asked": asked}
             findings.row(key, partial(measure, budget, loss, preset, held_out, options))
     findings.finish()

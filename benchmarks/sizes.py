@@ -23,8 +23,8 @@ from pathfold.bench.peers import oidn
 from pathfold.report.tables import markdown
 from pathfold_training.fit.preset import load_preset
 from pathfold_training.fit.task import Denoising
-from pathfold_training.networks.pathfold import Pathfold
-from pathfold_training.release.export import macs_per_pixel, write_pyramid
+from pathfold_training.networks.pathfold.network import Pathfold
+from pathfold_training.release.export import write_graph
 
 SIZES = ("fast", "balanced", "high")
 PEER, PEER_COST = "OIDN high", 125  # kMAC per pixel of its network
@@ -40,7 +40,8 @@ def write_model(name: str, folder: Path) -> Pathfold:
     for head in (model.trust, *model.heads):
         torch.nn.init.normal_(head.weight, std=0.1)  # type: ignore[arg-type]
     folder.mkdir(parents=True)
-    manifest = {"format": 1, "name": name, "license": "Apache-2.0", **write_pyramid(model, folder)}
+    graphs = {part: write_graph(graph, folder / f"{part}.onnx") for part, graph in model.graphs().items()}
+    manifest = {"format": 1, "name": name, "license": "Apache-2.0", **model.describe(), "graphs": graphs}
     manifest |= {"exposure": {"rule": "log-average", "key": 0.18}, "samples_per_pixel": {"min": 1, "max": 32}}
     (folder / "manifest.json").write_text(json.dumps(manifest | {"precision": "fp32"}))
     return model
@@ -69,7 +70,7 @@ def measure(width: int, height: int, samples: int, runs: int) -> dict[str, Any]:
         methods: dict[str, Callable[[], object]] = {}
         for size in SIZES:
             name = f"pathfold-{size}"
-            costs[name] = macs_per_pixel(write_model(name, Path(scratch) / name), samples) / 1e3
+            costs[name] = write_model(name, Path(scratch) / name).macs(samples) / 1e3
             denoiser = Denoiser(Path(scratch) / name)
             methods[name] = lambda name=name, denoiser=denoiser: run_model(name, denoiser)
         methods[PEER] = lambda: oidn(images["color"], images["albedo"], images["normal"])

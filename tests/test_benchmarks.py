@@ -13,6 +13,7 @@ from pathfold.models import ALL_SAMPLES
 from pathfold_training.dataset.store import Store
 from pathfold_training.fit.preset import Data, Optimiser, load_preset
 from pathfold_training.fit.views import ValidationViews, Window
+from pathfold_training.networks.losses import robust_relative
 from pathfold_training.release.score import scene_mean
 from training_data import write_data_set
 
@@ -24,6 +25,7 @@ import loader
 import pages
 import paths_gain
 import resolution
+import variants
 
 TINY = {
     "network": {"widths": [16, 16, 16, 16], "convolutions": [1, 1, 1, 1], "embedding": 2},
@@ -61,7 +63,7 @@ def test_the_loader_is_timed_on_noise_with_cleaned_references(tmp_path: Path) ->
     assert all(math.isfinite(value) and value > 0 for value in found.values())
 
 
-@pytest.mark.parametrize("run", ["baseline", "kernel-11", "split"])
+@pytest.mark.parametrize("run", ["baseline", "kernel-11", "split", "unscaled", "uncleaned", "modulated", "unbiased"])
 def test_every_network_trains_and_keeps_a_constant(run: str, tmp_path: Path) -> None:
     variant = next(v for v in ablation.VARIANTS if v.run == run)
     config = ablation.changed(load_preset("pathfold-fast"), TINY)
@@ -187,3 +189,19 @@ def test_windows_are_compared_one_by_one_over_seeds() -> None:
     assert "| pathfold-balanced | 8 | 0.800 | 2 of 3 |" in resolution.tables(
         [row(0, 1.0, 4.0, -0.5), row(1, 0.6, 2.0, 0.1)]
     )
+
+
+def test_the_unbiased_loss_pulls_towards_the_mean_of_noisy_references() -> None:
+    reference = torch.full((400, 1, 1, 1), 0.1)
+    reference[:20] = 18.1  # one hit in twenty: mean 1, median 0.1
+    slope = {}
+    for mean in (0.9, 1.0, 1.1):
+        output = torch.full_like(reference, mean, requires_grad=True)
+        variants.unbiased_relative(output, reference).mean().backward()
+        slope[mean] = float(output.grad.sum())
+    assert slope[0.9] < -1e-3
+    assert slope[1.0] == pytest.approx(0, abs=1e-5)
+    assert slope[1.1] > 1e-3
+    output = torch.full_like(reference, 1.0, requires_grad=True)
+    robust_relative(output, reference, torch.ones_like(reference)).mean().backward()
+    assert float(output.grad.sum()) > 0.1  # the robust one would darken it

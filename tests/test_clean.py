@@ -34,5 +34,5 @@ def test_detail_that_both_halves_show_stays() -> None:
 def test_crops_carry_the_cleaned_reference_where_the_preset_asks(tmp_path: Path) -> None:
     stored = Stored(write_data_set(tmp_path / "data"))
     batch = next(iter(Crops(stored, Data(crop=24, batch=2, spp_max=8, cleaned=True), 3, 0)))
-    np.testing.assert_allclose(batch.reference["cleaned"], batch.reference["color"], rtol=1e-5)  # halves without noise
-    assert "cleaned" not in next(iter(Crops(stored, Data(crop=24, batch=2, spp_max=8), 3, 0))).reference
+    np.testing.assert_allclose(batch.truth["cleaned"], batch.truth["color"], rtol=1e-5)  # halves without noise
+    assert "cleaned" not in next(iter(Crops(stored, Data(crop=24, batch=2, spp_max=8), 3, 0))).truth

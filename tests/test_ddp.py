@@ -12,15 +12,16 @@ from typing import Any
 import pytest
 import torch
 import torch.distributed.nn
-from pathfold_training.networks.losses import manifold_loss
+from pathfold_training.networks.losses import Draw, manifold_loss
 from training_data import write_data_set
 
 PROGRAM = """
 import sys
 from pathlib import Path
-from pathfold_training.fit.preset import Config, Data, Loss, Optimiser
+from pathfold_training.fit.preset import Config, Data, Optimiser
+from pathfold_training.networks.losses import Loss
 from pathfold_training.fit.train import fit
-from pathfold_training.networks.sizes import KpcnSizes
+from pathfold_training.networks.kpcn.sizes import KpcnSizes
 
 config = Config(
     name="tiny",
@@ -74,7 +75,7 @@ def weigh(process: int, processes: int, port: int, answer: Any) -> None:
     own = samples[share]
     embedding = torch.einsum("ij,njhw->nihw", weight, torch.cat(own))
     pairs = torch.Generator().manual_seed(2)
-    loss = manifold_loss(embedding, label[share], [len(s) for s in own], 500, pairs, process, processes, gather)
+    loss = manifold_loss(embedding, label[share], [len(s) for s in own], 500, Draw(pairs, process, processes, gather))
     (loss + embedding.new_tensor(0.1) * weight.square().sum()).backward()
     assert weight.grad is not None
     if processes > 1:

@@ -22,12 +22,13 @@ from pathfold_training.fit.preset import Config, Data, Optimiser
 from pathfold_training.fit.task import Denoising
 from pathfold_training.fit.train import fit
 from pathfold_training.networks.batch import Batch
+from pathfold_training.networks.family import input_shape
 from pathfold_training.networks.features import DEMODULATION_EPSILON, OPTIONAL
-from pathfold_training.networks.kpcn import BRANCHES
+from pathfold_training.networks.kpcn.branch import BRANCHES
+from pathfold_training.networks.kpcn.sizes import KpcnSizes
 from pathfold_training.networks.reconstruct import gather
-from pathfold_training.networks.sizes import KpcnSizes
 from pathfold_training.release.card import write_card
-from pathfold_training.release.export import export, input_shape, load_task
+from pathfold_training.release.export import export, load_task
 from training_data import write_data_set
 
 NAMES = ("color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth")

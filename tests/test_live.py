@@ -12,7 +12,7 @@ from pathfold_training.fit import live
 from pathfold_training.fit.live import Live, LiveViews
 from pathfold_training.fit.preset import Config, Data, Optimiser
 from pathfold_training.fit.train import fit
-from pathfold_training.networks.sizes import KpcnSizes
+from pathfold_training.networks.kpcn.sizes import KpcnSizes
 from typer.testing import CliRunner
 
 SMALL = Live(budget=0.0, size=24, spp=4, every=2)

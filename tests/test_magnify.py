@@ -67,12 +67,12 @@ def test_batches_of_magnified_crops_look_like_others(tmp_path: Path, paths: int)
     plain = next(iter(Crops(stored, settings, 3, paths, albedo=True)))
     magnified = Crops(stored, settings.model_copy(update={"magnified": 1.0}), 3, paths, albedo=True)
     batch, again = (next(iter(magnified)) for _ in range(2))
-    assert batch.inputs.keys() == plain.inputs.keys() and batch.reference.keys() == plain.reference.keys()
+    assert batch.inputs.keys() == plain.inputs.keys() and batch.truth.keys() == plain.truth.keys()
     for name, value in batch.inputs.items():
         assert value.shape[1:] == plain.inputs[name].shape[1:], name
         assert torch.equal(value, again.inputs[name]), name
-    for name, value in batch.reference.items():
-        assert value.shape == plain.reference[name].shape, name
+    for name, value in batch.truth.items():
+        assert value.shape == plain.truth[name].shape, name
         assert name == "albedo" or value.isfinite().all()
     assert len(batch.counts) == 2 and all(1 <= count <= (paths or settings.spp_max) for count in batch.counts)
 

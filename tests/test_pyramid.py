@@ -6,28 +6,27 @@ import torch
 from pathfold.models import ALL_SAMPLES
 from pathfold_training import _taps
 from pathfold_training.fit.crops import Crops
-from pathfold_training.fit.preset import Config, Data, Loss, Optimiser, load_preset
+from pathfold_training.fit.preset import Config, Data, Optimiser, load_preset
 from pathfold_training.fit.task import Denoising
 from pathfold_training.fit.train import fit
 from pathfold_training.fit.views import Stored
 from pathfold_training.fit.warm_start import warm_start
-from pathfold_training.networks.pathfold import (
-    Pathfold,
+from pathfold_training.networks.embedding import Standardised
+from pathfold_training.networks.losses import Loss
+from pathfold_training.networks.pathfold.network import Pathfold
+from pathfold_training.networks.pathfold.sizes import PathfoldSizes, overlap
+from pathfold_training.networks.pathfold.unet import (
     Prediction,
-    Standardised,
     embedding_moments,
     embedding_sums,
-    macs_per_pixel,
-    overlap,
     pixel_features,
     reconstruct,
 )
 from pathfold_training.networks.reconstruct import KERNEL_TAPS, _WeighTaps, gather_factor, gather_pyramid, level_sums
-from pathfold_training.networks.sizes import PathfoldSizes
 from pathfold_training.release.score import load
 from training_data import write_data_set
 
-SMALL = PathfoldSizes(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4, clean=True, scaled=True)
+SMALL = PathfoldSizes(widths=(16, 16, 16, 16), convolutions=(2, 1, 1, 1), embedding=4)
 TINY = Config(
     name="tiny",
     description="a network for tests",
@@ -280,7 +279,7 @@ def test_a_firefly_is_seen_no_brighter_than_the_ceiling(light: float) -> None:
     inputs["albedo"], inputs["albedo.present"] = torch.zeros(1, 3, 16, 16), torch.ones(1)
     inputs["radiance"][:, :, 5, 5] = light  # over a black albedo, which makes it a hundred times as bright
     inputs["variance"][:, :, 5, 5] = light
-    seen = pixel_features(inputs, demodulate=True)
+    seen = pixel_features(inputs)
     assert seen.isfinite().all() and float(seen.max()) < 7
     assert float(seen[0, 0, 5, 5]) == pytest.approx(np.log(1001))
 
@@ -330,7 +329,7 @@ def test_embedding_moments_of_known_values() -> None:
 def test_presets_keep_their_budget(name: str, low: float, high: float) -> None:
     network = load_preset(f"pathfold-{name}").network
     assert isinstance(network, PathfoldSizes)
-    assert low < macs_per_pixel(network, spp=0) / 1e3 <= high
+    assert low < Pathfold(network).macs(spp=0) / 1e3 <= high
     assert overlap(network) == 112
 
 
@@ -371,10 +370,9 @@ def test_training_moves_everything_and_resumes_exactly(tmp_path, monkeypatch) ->
         torch.testing.assert_close(resumed["state_dict"][name], value, rtol=0, atol=0, msg=name)
 
 
-@pytest.mark.parametrize("scaled", [True, False])
-def test_a_wider_network_begins_as_the_narrow_one(tmp_path, scaled: bool) -> None:  # type: ignore[no-untyped-def]
+def test_a_wider_network_begins_as_the_narrow_one(tmp_path) -> None:  # type: ignore[no-untyped-def]
     narrow = fit(TINY, write_data_set(tmp_path / "data"), tmp_path / "narrow", validate_every=1000, threads=1)
-    wider = SMALL.model_copy(update={"widths": (24, 16, 32, 40), "scaled": scaled})
+    wider = SMALL.model_copy(update={"widths": (24, 16, 32, 40)})
     wide = TINY.model_copy(update={"network": wider})
     torch.manual_seed(1)
     task = Denoising(wide)
@@ -387,24 +385,3 @@ def test_a_wider_network_begins_as_the_narrow_one(tmp_path, scaled: bool) -> Non
     with pytest.raises(ValueError, match=r"does not fit preset 'tiny'"):
         shrunk = SMALL.model_copy(update={"widths": (8, 16, 16, 16)})
         warm_start(Denoising(TINY.model_copy(update={"network": shrunk})), narrow)
-
-
-@pytest.mark.parametrize("kernel", [True, False])
-def test_a_network_that_cleaned_otherwise_is_a_start(tmp_path, kernel: bool) -> None:  # type: ignore[no-untyped-def]
-    """By one 5x5 kernel, which the finest level goes on with; or by the U-Net's last features: that begins anew."""
-    checkpoint = fit(TINY, write_data_set(tmp_path / "data"), tmp_path / "run", validate_every=1000, threads=1)
-    state = torch.load(checkpoint, weights_only=True)
-    for name in ("weight", "bias"):
-        own = [state["state_dict"].pop(f"model.albedo_heads.{level}.{name}") for level in (0, 1)]
-        state["state_dict"][f"model.albedo_kernels.{name}" if kernel else f"model.cleaning.{name}"] = own[0][:100] + 1.0
-    torch.save(state, checkpoint)
-    task = Denoising(TINY)
-    assert isinstance(task.model, Pathfold)
-    fresh = {name: value.clone() for name, value in task.model.albedo_heads.state_dict().items()}
-    warm_start(task, checkpoint)
-    for name, value in task.model.albedo_heads.state_dict().items():
-        begun = fresh[name]
-        if kernel and name.startswith("0."):
-            begun[:100] = state["state_dict"][f"model.albedo_kernels.{name[2:]}"]
-        torch.testing.assert_close(value, begun, rtol=0, atol=0)
-    torch.testing.assert_close(task.model.first.weight, state["state_dict"]["model.first.weight"])

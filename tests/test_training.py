@@ -20,12 +20,14 @@ from pathfold_training.fit.augment import add_fireflies, augment
 from pathfold_training.fit.checkpoint import start_record
 from pathfold_training.fit.crops import Crops
 from pathfold_training.fit.frames import PATH_NAMES, frame_inputs, reduce_samples
-from pathfold_training.fit.preset import Config, Data, Loss, Optimiser
+from pathfold_training.fit.preset import Config, Data, Optimiser
 from pathfold_training.fit.task import Denoising
 from pathfold_training.fit.train import fit
 from pathfold_training.fit.views import SAMPLE_NAMES, Stored, ValidationViews, Window
 from pathfold_training.fit.warm_start import checkpoint_weights
-from pathfold_training.networks.sizes import KpcnSizes, PathfoldSizes
+from pathfold_training.networks.kpcn.sizes import KpcnSizes
+from pathfold_training.networks.losses import Loss
+from pathfold_training.networks.pathfold.sizes import PathfoldSizes
 from pathfold_training.release.average import average
 from pathfold_training.release.export import export
 from training_data import SIDE, view_tensors, write_data_set
@@ -310,7 +312,7 @@ def test_batches_depend_on_seed_and_step_alone(data_set: Path) -> None:
     for name, value in again.inputs.items():
         torch.testing.assert_close(value, first[2].inputs[name], rtol=0, atol=0)
     other = next(iter(Crops(stored, TINY.data, seed=6, paths=ALL_SAMPLES)))
-    assert not torch.equal(other.reference["color"], first[0].reference["color"])
+    assert not torch.equal(other.truth["color"], first[0].truth["color"])
 
 
 def test_fireflies_are_improbable_paths_of_a_few_samples(data_set: Path) -> None:
@@ -359,8 +361,8 @@ def test_a_view_is_scored_without_the_noise_of_its_reference() -> None:
     noisy = np.moveaxis(batch.inputs["color"][0].numpy(), 0, -1)
     expected = 0.04**2 * (1 / (clean**2 + 0.01)).mean() / rell2(noisy, np.moveaxis(clean, 0, -1))
     assert float(task.ratio_log(batch).exp()) == pytest.approx(expected, rel=0.2)
-    with_noise = batch.reference | dict.fromkeys(("half_a", "half_b"), torch.from_numpy(sum(halves.values()) / 2)[None])
-    assert float(task.ratio_log(replace(batch, reference=with_noise)).exp()) > 1.5 * expected
+    with_noise = batch.truth | dict.fromkeys(("half_a", "half_b"), torch.from_numpy(sum(halves.values()) / 2)[None])
+    assert float(task.ratio_log(replace(batch, truth=with_noise)).exp()) > 1.5 * expected
 
 
 def test_cleaned_references_are_kept_until_the_view_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..scenes import cameras, library, procedural, variation
 from ..scenes.faults import RejectedError, picture_fault
 from .store import KINDS, REFERENCES, SAMPLES, Arrays, Line
-from .truth import depth_scale, exposure, importance, render_reference
+from .truth import depth_scale, exposure, importance, render_truth
 
 LIBRARY_DEPTH = 6  # scenes of a library state depths up to 65; one value keeps the data alike, and cost grows with it
 LANES = 1 << 22  # samples traced in one call
@@ -88,7 +88,7 @@ def _render(task: Task, scene: Any, line: Line) -> tuple[Line, Arrays]:
     tensors: Arrays = {}
     if REFERENCES in task.kinds:
         seeds = [int(s) for s in entropy(task.seed, task.id, "reference")[:2]]
-        tensors, facts = render_reference(scene, task.budget, line["max_depth"], seeds)
+        tensors, facts = render_truth(scene, task.budget, line["max_depth"], seeds)
         if fault := picture_fault(np.moveaxis(tensors["reference.color"], 0, -1), may_be_flat="window" in line):
             raise RejectedError(f"its picture is {fault}")
         if "window" in line:

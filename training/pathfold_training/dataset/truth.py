@@ -24,7 +24,7 @@ WORTHLESS = 0.25  # a reference noisier than this after all that teaches nothing
 Arrays = dict[str, NDArray[Any]]
 
 
-def render_reference(scene: Any, budget: float, max_depth: int, seeds: list[int]) -> tuple[Arrays, dict[str, float]]:
+def render_truth(scene: Any, budget: float, max_depth: int, seeds: list[int]) -> tuple[Arrays, dict[str, float]]:
     """The reference of a scene's first sensor: tensors as the store names them, and its facts for the index.
 
     Two independent halves are rendered in rounds until their difference says that the mean is good, or `budget`

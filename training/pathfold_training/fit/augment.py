@@ -34,7 +34,7 @@ def add_fireflies(samples: Inputs, exposure: float, rng: np.random.Generator) ->
                 density[number, :, y, x] -= math.log(factor)
 
 
-def augment(inputs: Inputs, reference: Inputs, rng: np.random.Generator, normal_turn: float) -> None:
+def augment(inputs: Inputs, truth: Inputs, rng: np.random.Generator, normal_turn: float) -> None:
     """Flips, transpose, colour permutation of all that carries colour, and now and then a rotation of the normals.
 
     Numbers without height and width stay.
@@ -47,7 +47,7 @@ def augment(inputs: Inputs, reference: Inputs, rng: np.random.Generator, normal_
         turn = turn[[1, 0, 2]]
     if rng.random() < normal_turn:
         turn = torch.from_numpy(np.linalg.qr(rng.standard_normal((3, 3)))[0]).float() @ turn
-    for group in (inputs, reference):
+    for group in (inputs, truth):
         for name, value in group.items():
             if value.dim() < 3:
                 continue

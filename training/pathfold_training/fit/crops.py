@@ -55,21 +55,21 @@ class Crops(IterableDataset):
 
     def draw(self, view: Window, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
         magnify = self.data.magnified > 0.0 and rng.random() < self.data.magnified
-        samples, reference = self.enlarged(view, size, rng) if magnify else self.as_stored(view, size, rng)
+        samples, truth = self.enlarged(view, size, rng) if magnify else self.as_stored(view, size, rng)
         if self.data.fireflies > 0.0 and rng.random() < self.data.fireflies:
             add_fireflies(samples, view.exposure, rng)
         inputs = frame_inputs(samples, view.exposure, view.depth_scale)
-        augment(inputs, reference, rng, self.data.normal_turn)  # of means, not of each sample: it is the same
+        augment(inputs, truth, rng, self.data.normal_turn)  # of means, not of each sample: it is the same
         inputs["exposure"] = inputs["exposure"] * 2 ** rng.uniform(-1.0, 1.0)
         drop_inputs(inputs, rng, self.data)
-        return inputs, reference
+        return inputs, truth
 
     def as_stored(self, view: Window, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
         """Any of the view's samples, a stored pixel each."""
         numbers = view.subset(self.draw_number(view.samples, rng), self.paths, rng)
         y, x = view.corner(size, rng)
-        samples, reference = view.crop(y, x, size, numbers, self.paths)
-        return samples, reference | self.targets(view, y, x, samples["samples.albedo"])
+        samples, truth = view.crop(y, x, size, numbers, self.paths)
+        return samples, truth | self.targets(view, y, x, samples["samples.albedo"])
 
     def enlarged(self, view: Window, size: int, rng: np.random.Generator) -> tuple[Inputs, Inputs]:
         """Magnified by magnify.py; of fewer samples, as more pixels share those of a stored one."""
@@ -81,10 +81,10 @@ class Crops(IterableDataset):
         magnifier = Magnifier(size, side, factor, number, paths, view.samples, view.described, rng)
         numbers = view.subset(int(magnifier.slots.max()) + 1, view.described, rng)
         described = int(magnifier.slots[:paths].max(initial=-1)) + 1
-        stored, reference = view.crop(y, x, side, numbers, described)
+        stored, truth = view.crop(y, x, side, numbers, described)
         samples = {n: magnifier.samples(v, paths if n in PATH_NAMES else number) for n, v in stored.items()}
-        reference |= self.targets(view, y, x, stored["samples.albedo"])
-        return samples, {name: magnifier.image(image) for name, image in reference.items()}
+        truth |= self.targets(view, y, x, stored["samples.albedo"])
+        return samples, {name: magnifier.image(image) for name, image in truth.items()}
 
     def draw_number(self, most: int, rng: np.random.Generator) -> int:
         """Samples of a pixel, at most `most`, log-uniform."""
@@ -92,7 +92,7 @@ class Crops(IterableDataset):
         return round(2 ** rng.uniform(low, high))
 
     def targets(self, view: Window, y: int, x: int, albedo: Tensor) -> Inputs:
-        """What there is beside the reference to learn from; `albedo` is of all samples that are given."""
+        """What there is beside the truth to learn from; `albedo` is of all samples that are given."""
         height, width = albedo.shape[2:]
         targets = {"albedo": view.albedo(y, x, albedo)} if self.albedo else {}
         return targets | ({"cleaned": view.cleaned[:, y : y + height, x : x + width]} if self.data.cleaned else {})

@@ -3,27 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self, Union
 
 import yaml
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
-from ..networks.sizes import Count, KpcnSizes, PathfoldSizes, Share, Strict, Weight, family
-
-
-class Loss(Strict):
-    """Weights of the terms, see losses.py."""
-
-    # unbiased is for references of few samples; geometric is robust, each image's relative change alike
-    image: Literal["robust", "unbiased", "geometric"] = "robust"
-    energy: Weight = 0.0  # error of block means, against darkening
-    albedo: Weight = 0.0  # error of the cleaned albedo, for networks that clean it
-    branch: Weight = 0.5  # per-branch terms beside the recombined image
-    logits: Weight = 1.0e-4  # excess of |logit| over 10
-    manifold: Weight = (
-        0.0  # lambda of the slides' formula; the paper's 0.1 is 0.0125 here (its code is 1/8 of the formula)
-    )
-    manifold_pairs: Count = 16384  # local and non-local pairs drawn per image, each
+from ..networks.families import FAMILIES, family
+from ..networks.kpcn.sizes import KpcnSizes
+from ..networks.losses import Loss
+from ..networks.sizes import Count, Share, Sizes, Strict, Weight
 
 
 class Data(Strict):
@@ -54,17 +42,23 @@ class Optimiser(Strict):
     final_fraction: Share = 0.01  # of the learning rate, at the end of the cosine
     clip: Weight = 1.0  # gradient norm
     precision: Literal["auto", "fp32", "bf16"] = "auto"  # bf16 on a GPU; fp32 on a CPU, faster there without AMX
-    lattice: Count = 3  # KPCN's kernels are predicted on every n-th pixel in both directions while training
     # decay of the exponential moving average of the weights that is kept; 0 keeps the last ones
     average: float = Field(0.0, ge=0, lt=1)
+
+
+if TYPE_CHECKING:
+    AnySizes = Sizes
+else:
+    AnySizes = Annotated[
+        Union[tuple(Annotated[row.sizes, Tag(name)] for name, row in FAMILIES.items())],  # noqa: UP007
+        Discriminator(family),
+    ]
 
 
 class Config(Strict):
     name: str
     description: str
-    network: Annotated[
-        Annotated[KpcnSizes, Tag("kpcn")] | Annotated[PathfoldSizes, Tag("pathfold")], Discriminator(family)
-    ] = KpcnSizes()
+    network: AnySizes = KpcnSizes()
     loss: Loss = Loss()
     data: Data = Data()
     optimiser: Optimiser = Optimiser()

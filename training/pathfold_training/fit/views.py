@@ -24,7 +24,7 @@ from ..networks.batch import Batch, Inputs
 from .frames import collate, frame_inputs
 
 SAMPLE_NAMES = tuple(f"samples.{n}" for n in ("radiance", "diffuse", "diffuse.albedo", "albedo", "normal", "depth"))
-REFERENCE_NAMES = ("reference.color", "reference.diffuse", "reference.diffuse.albedo")
+TRUTH_NAMES = ("reference.color", "reference.diffuse", "reference.diffuse.albedo")
 
 
 class Stored:
@@ -80,7 +80,7 @@ class Window:
         return np.cumsum(whole / whole.sum())
 
     def halves(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The window's reference [3, H, W] twice, of independent samples."""
+        """The window's truth [3, H, W] twice, of independent samples."""
         y, x = slice(self.top, self.top + self.side), slice(self.left, self.left + self.side)
         a, b = (np.nan_to_num(self.tensor(f"reference.half_{name}.color")[:, y, x], posinf=0.0) for name in "ab")
         return a, b
@@ -132,7 +132,7 @@ class Window:
         return np.concatenate([head, rng.choice(others, count - len(head), replace=False)])
 
     def crop(self, y: int, x: int, size: int, numbers: NDArray[np.intp], paths: int) -> tuple[Inputs, Inputs]:
-        """Samples by number and references of the crop: tensors S x C x h x w and C x h x w, float32.
+        """Samples by number and the truth of the crop: tensors S x C x h x w and C x h x w, float32.
 
         Path descriptors are read of the first `paths` of `numbers`, or of as many of these as they are stored of, and
         stay float16. Non-finite samples count as black.
@@ -150,13 +150,13 @@ class Window:
         if len(described):
             inputs["samples.descriptor"] = read("samples.descriptor", described)
             inputs["samples.density"] = read("samples.density", described)
-        reference = {
+        truth = {
             name.removeprefix("reference."): torch.nan_to_num(
                 torch.from_numpy(self.tensor(name)[:, *whole]), 0.0, 0.0, 0.0
             )
-            for name in REFERENCE_NAMES
+            for name in TRUTH_NAMES
         }
-        return inputs, reference
+        return inputs, truth
 
     def albedo(self, y: int, x: int, own: Tensor) -> Tensor:
         """Mean albedo [3, h, w] of a crop over all samples but its `own`, S x 3 x h x w; NaN if these are over half."""
@@ -180,6 +180,6 @@ class ValidationViews(Dataset):
 
     def __getitem__(self, index: int) -> Batch:
         view = self.views[index]
-        samples, reference = view.crop(0, 0, view.side, np.arange(min(self.spp, view.samples)), self.paths)
-        reference |= {f"half_{name}": torch.from_numpy(h) for name, h in zip("ab", view.halves(), strict=True)}
-        return collate([(frame_inputs(samples, view.exposure, view.depth_scale), reference)])
+        samples, truth = view.crop(0, 0, view.side, np.arange(min(self.spp, view.samples)), self.paths)
+        truth |= {f"half_{name}": torch.from_numpy(h) for name, h in zip("ab", view.halves(), strict=True)}
+        return collate([(frame_inputs(samples, view.exposure, view.depth_scale), truth)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import onnx
@@ -13,8 +12,8 @@ from torch import Tensor
 from torch.nn.utils import parametrize
 
 from ..networks import narrow
-from ..networks.pathfold import Pathfold, Standardised
-from ..networks.pathfold_graphs import trained_weights
+from ..networks.embedding import Standardised
+from ..networks.families import FAMILIES, family
 from .checkpoint import START, load_checkpoint, read_manifest
 from .task import Denoising
 
@@ -23,16 +22,14 @@ def warm_start(task: Denoising, source: Path) -> None:
     """Copy the weights of a checkpoint or model folder; what only the new network has keeps its own first values.
 
     That holds for R's input channels too: begun at zero they stay small for thousands of steps, and R does not read F.
-    A network of the pathfold family with wider layers begins as the narrow one: what that had reads nothing new yet.
+    A network whose family lets it be wider begins as the narrow one: what that had reads nothing new yet.
     Raises ValueError where a layer is narrower, of another kernel size, or missing.
     """
-    wider = isinstance(task.model, Pathfold)
     merged = {name: value.clone() for name, value in plain_weights(task).items()}
     for name, value in folder_weights(source).items() if source.is_dir() else checkpoint_weights(source).items():
-        name = re.sub(r"^(model\.branches\.\w+)\.head\.", r"\1.kernels.", name)  # as the first models have it
-        name = name.replace("model.albedo_kernels.", "model.albedo_heads.0.")  # one 5x5 kernel: the finest level's
+        wider = task.model.may_widen(name.removeprefix("model."))
         new = merged.get(name)
-        if new is None or not fits(value, new, wider and not name.startswith("model.sample.")):
+        if new is None or not fits(value, new, wider):
             raise ValueError(
                 f"{source}: its weight {name} does not fit preset '{task.config.name}'; give a network of its "
                 "family that is no wider"
@@ -78,13 +75,8 @@ def plain_weights(task: Denoising) -> dict[str, torch.Tensor]:
 def checkpoint_weights(checkpoint: Path) -> dict[str, torch.Tensor]:
     config, state = load_checkpoint(checkpoint)
     task = Denoising(config)
-    # networks of before cleaned the albedo by one kernel, whose weights go on, or by other features, whose do not
-    before = ("model.cleaning.", "model.albedo_kernels.")
-    stored = {name: value for name, value in state["state_dict"].items() if not name.startswith(before)}
-    fresh = {name: value for name, value in task.state_dict().items() if name.startswith("model.albedo_heads.")}
-    task.load_state_dict(fresh | stored)
-    one_kernel = {name: value for name, value in state["state_dict"].items() if name.startswith(before[1])}
-    return plain_weights(task) | one_kernel
+    task.load_state_dict(state["state_dict"])
+    return plain_weights(task)
 
 
 def folder_weights(folder: Path) -> dict[str, torch.Tensor]:
@@ -92,23 +84,14 @@ def folder_weights(folder: Path) -> dict[str, torch.Tensor]:
 
     Raises ValueError for graphs that `pathfold-train export` did not write.
     """
-    weights = {}
     manifest = read_manifest(folder)
     graphs = {name: graph_weights(folder / graph["file"]) for name, graph in manifest["graphs"].items()}
-    if manifest["reconstruction"]["operator"] == "pyramid":
-        try:
-            return {f"model.{name}": value for name, value in trained_weights(**graphs).items()}
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"{folder}: not written by 'pathfold-train export' ({error}); give a checkpoint") from None
-    for graph, tensors in graphs.items():
-        for name, value in tensors.items():
-            if name.startswith("branch."):
-                weights[name.replace("branch.", f"model.branches.{graph}.", 1)] = value
-    if manifest["reconstruction"].get("trust"):  # export made it the last row of the kernels' layer
-        for name in [name for name in weights if ".kernels." in name]:
-            weights[name.replace(".kernels.", ".trust.")] = weights[name][-1:]
-            weights[name] = weights[name][:-1]
-    return weights
+    try:
+        network = FAMILIES[family(manifest["training"]["config"]["network"])].network
+        weights = network.weights_of(graphs, manifest["reconstruction"])
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{folder}: not written by 'pathfold-train export' ({error}); give a checkpoint") from None
+    return {f"model.{name}": value for name, value in weights.items()}
 
 
 def graph_weights(file: Path) -> dict[str, torch.Tensor]:

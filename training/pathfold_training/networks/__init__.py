@@ -1,1 +1,1 @@
-"""The networks: the path embedding F, KPCN's reconstruction network R, and the operators that apply their output."""
+"""The networks: a folder for each family, what they share, and the protocol by which the training tools ask them."""

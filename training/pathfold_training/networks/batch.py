@@ -12,12 +12,12 @@ Inputs = dict[str, Tensor]
 
 @dataclass
 class Batch:
-    """Buffers B x C x H x W (samples N x C x H x W, `counts` per image), scalars [B], references B x 3 x H x W."""
+    """Buffers B x C x H x W (samples N x C x H x W, `counts` per image), scalars [B], the truth B x 3 x H x W."""
 
     inputs: Inputs
-    reference: Inputs
+    truth: Inputs
     counts: list[int]
 
     def to(self, device: torch.device) -> Batch:
         move = {k: v.to(device) for k, v in self.inputs.items()}
-        return Batch(move, {k: v.to(device) for k, v in self.reference.items()}, self.counts)
+        return Batch(move, {k: v.to(device) for k, v in self.truth.items()}, self.counts)

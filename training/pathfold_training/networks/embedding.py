@@ -9,7 +9,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
-from .features import DESCRIPTOR_CHANNELS
+from .features import DESCRIPTOR_CHANNELS, descriptor_features
 
 ALIGNMENT = 4  # two 2x2 poolings
 # mean and deviation of F's inputs over generated and library views: undivided radiance, photon energy, attenuations;
@@ -90,6 +90,36 @@ class PathEmbedding(nn.Module):
         return functional.softplus(embedding.to(torch.promote_types(embedding.dtype, torch.float32)))
 
 
+class Standardised(nn.Conv2d):
+    """A 1x1 convolution of descriptors that are brought to mean 0 and deviation 1 first: it learns them sooner.
+
+    `weight` and `bias` belong to the scaled inputs; `folded` gives those for inputs as they are.
+    """
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, outputs: int) -> None:
+        super().__init__(DESCRIPTOR_CHANNELS, outputs, 1)
+        for name, values in (("mean", INPUT_MEAN), ("deviation", INPUT_DEVIATION)):
+            self.register_buffer(name, torch.tensor(values).reshape(1, -1, 1, 1), persistent=False)
+
+    def folded(self) -> tuple[Tensor, Tensor]:
+        """Weight O x 36 x 1 x 1 and bias O."""
+        assert self.bias is not None
+        weight = self.weight / self.deviation
+        return weight, self.bias - (weight * self.mean).sum((1, 2, 3))
+
+    def unfold(self, weight: Tensor, bias: Tensor) -> None:
+        """The reverse: takes what `folded` is to give."""
+        with torch.no_grad():
+            self.weight.copy_(weight * self.deviation)
+            self.bias.copy_(bias + (weight * self.mean).sum((1, 2, 3)))  # type: ignore[union-attr]
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.conv2d(x, *self.folded())
+
+
 def sample_sum(x: Tensor, counts: list[int] | None = None) -> Tensor:
     """Sum over each image's samples: N x C x H x W -> B x C x H x W."""
     if counts is None:
@@ -121,3 +151,10 @@ def pixel_embedding(embedding: Tensor, valid: Tensor, counts: list[int] | None =
         count = sample_sum(valid, counts)
         variance = sample_mean(deviation, valid, counts) / torch.clamp(count - 1.0, min=1.0)
     return torch.cat([mean, variance], 1)
+
+
+def path_features(inputs: dict[str, Tensor], counts: list[int] | None = None) -> Tensor:
+    """F's input N x 36 x H x W of a frame or batch."""
+    log_exposure = torch.log(per_sample(inputs["exposure"], counts))
+    features = descriptor_features(inputs["samples.descriptor"], log_exposure)
+    return features.contiguous(memory_format=torch.channels_last)

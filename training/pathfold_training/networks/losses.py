@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
 
 import torch
 import torch.nn.functional as functional
 from torch import Tensor
+
+from .sizes import Count, Strict, Weight
 
 RELATIVE_EPSILON = 0.01  # RelL2's, in exposed units
 GEOMETRIC_FLOOR = 1e-3  # an image's error below which it counts less: references are no better
@@ -15,6 +19,37 @@ ENERGY_BLOCK = 16  # pixels
 ENERGY_EPSILON = 0.03  # exposed radiance below which a block's error counts less
 GAMMA = 1 / 2.2
 LOGIT_LIMIT = 10.0
+
+
+class Loss(Strict):
+    """Weights of the terms."""
+
+    image: Literal["robust", "geometric"] = "robust"  # geometric: each image's relative change counts alike
+    energy: Weight = 0.0  # error of block means, against darkening
+    albedo: Weight = 0.0  # error of the cleaned albedo, for networks that clean it
+    branch: Weight = 0.5  # per-branch terms beside the recombined image
+    logits: Weight = 1.0e-4  # excess of |logit| over 10
+    manifold: Weight = (
+        0.0  # lambda of the slides' formula; the paper's 0.1 is 0.0125 here (its code is 1/8 of the formula)
+    )
+    manifold_pairs: Count = 16384  # local and non-local pairs drawn per image, each
+
+    def over_images(self, errors: Tensor) -> Tensor:
+        """Errors [B] as one number."""
+        return geometric(errors) if self.image == "geometric" else errors.mean()
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What a step draws at random, and which of how many processes that share its batch draws it.
+
+    `gather` makes processes x ... of every process's tensor, with the gradients; None for one process.
+    """
+
+    generator: torch.Generator
+    process: int = 0
+    processes: int = 1
+    gather: Callable[[Tensor], Tensor] | None = None
 
 
 def error_scale(reference: Tensor, noisy: bool = True) -> Tensor:
@@ -89,7 +124,7 @@ def energy_error(output: Tensor, reference: Tensor) -> Tensor:
 
 
 def albedo_error(cleaned: Tensor, target: Tensor, present: Tensor) -> Tensor:
-    """Mean of ((c - t) / sqrt(c^2 + eps))^2 with the c below held fixed, as unbiased_relative; both B x 3 x H x W.
+    """Mean of ((c - t) / sqrt(c^2 + eps))^2 with the c below held fixed (Noise2Noise); both B x 3 x H x W.
 
     So the target may be noisy as long as its noise is not the input's. Images without an albedo (`present` [B] of 0 and
     1), or without such a target (NaN), count as 0.
@@ -97,16 +132,6 @@ def albedo_error(cleaned: Tensor, target: Tensor, present: Tensor) -> Tensor:
     known = present * torch.isfinite(target).all(-1).all(-1).all(-1).to(present.dtype)
     error = (cleaned - torch.nan_to_num(target)).square() / (cleaned.detach().square() + RELATIVE_EPSILON)
     return (known * error.mean((1, 2, 3))).mean()
-
-
-def unbiased_relative(output: Tensor, reference: Tensor) -> Tensor:
-    """Each image's mean [B] of ((x - r) / sqrt(x^2 + eps))^2 with the x below held fixed (Noise2Noise's HDR loss).
-    Exposed radiance B x 3 x H x W.
-
-    Its minimum is the true mean however noisy the reference r is, which no other loss here has; the price is
-    heavy-tailed gradients, so clip their norm.
-    """
-    return ((output - reference).square() / (output.detach().square() + RELATIVE_EPSILON)).mean((1, 2, 3))
 
 
 def logit_excess(logits: Tensor) -> Tensor:
@@ -130,20 +155,17 @@ def manifold_loss(
     label: Tensor,
     counts: list[int],
     pairs: int,
-    generator: torch.Generator,
-    process: int = 0,
-    processes: int = 1,
-    gather: Callable[[Tensor], Tensor] | None = None,
+    draw: Draw,
 ) -> Tensor:
     """L_m, local plus non-local: mean of (|f_x - f_y|^2 - |tau_x - tau_y|^2)^2 (the formula of the authors' slides).
 
     embedding N x C x H x W (all samples of B images, image after image), label B x 3 x H x W (tone-mapped reference;
     every sample of a pixel shares it), `pairs` drawn per image for each of the two terms. Local pairs join samples of
-    one image, non-local ones samples anywhere in the batch. In fp32. Where `processes` share a batch, each has B images
-    of it and gets the loss of the whole: `gather` makes processes x B x ... of the drawn samples, with their gradients.
+    one image, non-local ones samples anywhere in the batch. In fp32. Where processes share a batch, each has B images
+    of it and gets the loss of the whole.
     """
-    images, first = processes * len(counts), process * len(counts)
-    places = torch.rand(images, 2 * pairs, dtype=torch.float64, generator=generator)[first : first + len(counts)]
+    images, first = draw.processes * len(counts), draw.process * len(counts)
+    places = torch.rand(images, 2 * pairs, dtype=torch.float64, generator=draw.generator)[first : first + len(counts)]
     chosen, labels = [], []
     for part, tau, place in zip(torch.split(embedding.float(), counts), label, places, strict=True):
         samples, channels, height, width = part.shape
@@ -152,14 +174,14 @@ def manifold_loss(
         chosen.append(part.permute(1, 0, 2, 3).reshape(channels, -1)[:, index])  # C x 2 pairs
         labels.append(tau.reshape(3, -1)[:, pixel])
     f, t = torch.stack(chosen), torch.stack(labels)  # B x C x 2P, B x 3 x 2P
-    if gather is not None:
-        f, t = gather(f), gather(t)
+    if draw.gather is not None:
+        f, t = draw.gather(f), draw.gather(t)
         if f.requires_grad:  # torch 2.13 mixes up the values of a gathered tensor's gradient unless it is contiguous
             f.register_hook(torch.Tensor.contiguous)
         f, t = f.flatten(0, 1), t.flatten(0, 1)
     local = pair_error(f[..., :pairs], f[..., pairs:], t[..., :pairs], t[..., pairs:])
     flat_f, flat_t = f.transpose(0, 1).flatten(1), t.transpose(0, 1).flatten(1)
-    order = torch.randperm(flat_f.shape[1], generator=generator).to(f.device)
+    order = torch.randperm(flat_f.shape[1], generator=draw.generator).to(f.device)
     a, b = order.chunk(2)
     return local + pair_error(flat_f[:, a], flat_f[:, b], flat_t[:, a], flat_t[:, b])
 

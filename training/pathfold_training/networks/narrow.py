@@ -9,20 +9,19 @@ import numpy as np
 import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
-
-from .pathfold import Pathfold
+from torch import nn
 
 SUFFIX = ".half"  # of the stored weight's name
 LARGEST = float(np.finfo(np.float16).max)
 
 
-def round_weights(model: Pathfold) -> None:
-    """Round in place what the graph `network` holds of weights, but for layers that a 16-bit float cannot hold.
+def round_weights(model: nn.Module, but: str) -> None:
+    """Round weights in place, but for layers that a 16-bit float cannot hold and those whose names begin by `but`.
 
-    Biases stay, and so does the embedding: its graph is small, and scales its weights anew.
+    Biases stay.
     """
     for name, weight in model.named_parameters():
-        if weight.ndim > 1 and not name.startswith("sample.") and weight.detach().abs().max() <= LARGEST:
+        if weight.ndim > 1 and not name.startswith(but) and weight.detach().abs().max() <= LARGEST:
             weight.data = weight.data.to(torch.float16).to(weight.dtype)
 
 

@@ -16,8 +16,6 @@ from pathfold.check.references import References, frame_hash
 from torch import Tensor
 
 from ..fit.task import Denoising
-from ..networks.pathfold import Pathfold, reconstruct
-from ..networks.reconstruct import gather
 
 
 def write_references(task: Denoising, folder: Path, manifest: dict[str, Any]) -> None:
@@ -28,13 +26,13 @@ def write_references(task: Denoising, folder: Path, manifest: dict[str, Any]) ->
         if not reads(manifest, case.needs):
             continue
         buffers = case.make()
-        image, made.logits[case.name] = denoise(task, prepare(buffers, manifest), manifest)
+        image, made.logits[case.name] = denoise(task, prepare(buffers, manifest))
         made.images[case.name] = image.astype(np.float32)  # half a unit in the last place: far below any tolerance
         made.frames[case.name] = frame_hash(buffers)
     references.write(folder, manifest, made)
 
 
-def denoise(task: Denoising, frame: Prepared, manifest: dict[str, Any]) -> tuple[NDArray[np.float64], float]:
+def denoise(task: Denoising, frame: Prepared) -> tuple[NDArray[np.float64], float]:
     """The frame's color H x W x 3 and the largest |logit| (with trust): networks, kernels and sums in float64."""
     total, largest = np.zeros_like(frame.branches[0].radiance), 0.0
     masked = torch.from_numpy(~frame.valid)
@@ -42,17 +40,9 @@ def denoise(task: Denoising, frame: Prepared, manifest: dict[str, Any]) -> tuple
         radiance, factor = (tensor("radiance", values) for values in (part.radiance, part.factor))
         radiance = radiance.masked_fill(masked, float("nan"))
         with torch.no_grad():
-            if isinstance(task.model, Pathfold):
-                predicted, _ = task.model({name: tensor(name, block) for name, block in part.inputs.items()})
-                filtered, _ = reconstruct(predicted, radiance, factor)
-                largest = max(float(level.abs().max()) for level in predicted.flat())
-            else:
-                branch = task.model.branch(part.graph)
-                predicted = branch({name: tensor(name, part.inputs[name]) for name in branch.input_names()})
-                size = manifest["reconstruction"]["size"]
-                filtered = gather(predicted.logits, radiance / factor, size, trust=predicted.trust) * factor
-                shift = 0.0 if predicted.trust is None else float(predicted.trust.abs().max())
-                largest = max(largest, float(predicted.logits.abs().max()) + shift)
+            inputs = {name: tensor(name, block) for name, block in part.inputs.items()}
+            filtered, logit = task.model.filter_branch(part.graph, inputs, radiance, factor)
+            largest = max(largest, logit)
         total += filtered[0].permute(1, 2, 0).numpy()
     if not np.isfinite(total).all():
         raise ValueError("the network's result is not finite in float64, so it has no reference; train it anew")

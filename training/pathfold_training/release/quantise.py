@@ -1,4 +1,4 @@
-"""int8 for a model of the pathfold family: quantised on training crops, measured on held-out views.
+"""int8 for a model whose family has it: quantised on training crops, measured on held-out views.
 
 By onnxruntime, static: the U-Net in int8, weights per channel; the layer that reads the buffers, trust, heads, the
 embedding and the reconstruction stay in float32.
@@ -22,11 +22,13 @@ from onnxruntime import InferenceSession
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from pathfold import Denoiser
 from pathfold.bench.results import geometric
+from pathfold.models import ALL_SAMPLES
 
 from ..fit.crops import Crops
-from ..fit.preset import Config
+from ..fit.preset import Data
 from ..fit.views import Stored, ValidationViews
 from ..networks.batch import Batch, Inputs
+from ..networks.families import FAMILIES, family
 from ..networks.losses import halves_error
 from ..networks.narrow import narrow, widen
 from .card import model_card
@@ -34,7 +36,6 @@ from .export import sha256
 from .without_paths import some
 
 GRAPH, FILE = "network", "network.int8.onnx"  # what is quantised, and where it is written
-BODY = ("down.", "project.", "up.")  # its layers
 CROPS, FIREFLIES = 192, 0.1  # to calibrate on, and the share of them with fireflies, whatever was trained with
 SPPS = (2, 8)  # samples per pixel to measure on
 BOUND = 1.02  # of RelL2 over that of fp32
@@ -49,8 +50,8 @@ def add_int8(folder: Path, data: Stored) -> str:
     """
     with TemporaryDirectory() as scratch:
         trial = quantised_copy(folder, Path(scratch), data)
-        views = some(data.held_out())
-        paths = trained_as(trial).network.path_samples
+        manifest = json.loads((trial / "manifest.json").read_text())
+        views, (_, paths) = some(data.held_out()), trained_on(manifest)
         error = geometric([ratio for spp in SPPS for ratio in ratios(trial, ValidationViews(views, paths, spp))])
         size = sum(path.stat().st_size for path in trial.glob("*.onnx"))
         said = f"RelL2 {error:.4f} times that of fp32 on {len(views)} held-out views"
@@ -58,7 +59,6 @@ def add_int8(folder: Path, data: Stored) -> str:
             return f"no int8: {said}, more than {BOUND:g}; train longer, or with quantisation in the loop"
         if size > MOST_BYTES:
             return f"no int8: with it the folder would hold {size / 1e6:.1f} MB, more than {MOST_BYTES / 1e6:g}"
-        manifest = json.loads((trial / "manifest.json").read_text())
         manifest["variants"]["int8"]["rell2_over_fp32"] = round(error, 4)
         shutil.copy(trial / FILE, folder)
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
@@ -67,8 +67,13 @@ def add_int8(folder: Path, data: Stored) -> str:
 
 
 def can_be_quantised(folder: Path) -> bool:
-    """Whether the model is one of the pathfold family."""
-    return GRAPH in json.loads((folder / "manifest.json").read_text())["graphs"]
+    """Whether the model's family has layers to quantise."""
+    return bool(layers(json.loads((folder / "manifest.json").read_text())))
+
+
+def layers(manifest: dict[str, Any]) -> tuple[str, ...]:
+    """How the names of the layers that are quantised begin."""
+    return FAMILIES[family(manifest["training"]["config"]["network"])].network.quantised
 
 
 def quantised_copy(
@@ -95,7 +100,7 @@ def quantised_copy(
         activation_type=QuantType.QUInt8,
         weight_type=QuantType.QInt8,
         op_types_to_quantize=["Conv", "MaxPool", "Resize", "Add"],
-        nodes_to_quantize=body(model.graph, fp32),
+        nodes_to_quantize=body(model.graph, layers(manifest), fp32),
         calibrate_method=CalibrationMethod.Percentile if percentile else CalibrationMethod.MinMax,
         extra_options={"CalibPercentile": percentile} if percentile else {},
     )
@@ -120,15 +125,18 @@ class Calibration(CalibrationDataReader):
 def calibration_feeds(folder: Path, manifest: dict[str, Any], data: Stored, crops: int) -> Iterator[Feeds]:
     """The graph's inputs of augmented training crops; of at least FIREFLIES of them some pixels are far too bright."""
     sessions = [InferenceSession(folder / manifest["graphs"][name]["file"]) for name in ("embedding", GRAPH)]
-    config = trained_as(folder)
-    single = config.data.model_copy(update={"batch": 1, "fireflies": max(FIREFLIES, config.data.fireflies)})
-    for batch in islice(Crops(data, single, seed=0, paths=config.network.path_samples), crops):
+    trained, paths = trained_on(manifest)
+    single = trained.model_copy(
+        update={"batch": 1, "fireflies": max(FIREFLIES, trained.fireflies), "cleaned": False}  # truths are not read
+    )
+    for batch in islice(Crops(data, single, seed=0, paths=paths), crops):
         yield network_feeds(batch.inputs, *sessions)
 
 
-def trained_as(folder: Path) -> Config:
-    """The configuration that a model folder's network was trained with."""
-    return Config.model_validate(json.loads((folder / "manifest.json").read_text())["training"]["config"])
+def trained_on(manifest: dict[str, Any]) -> tuple[Data, int]:
+    """How the crops were that a model was trained on, and of how many samples of a pixel it looks at paths."""
+    embedded = manifest["samples_per_pixel"].get("embedded", ALL_SAMPLES)
+    return Data.model_validate(manifest["training"]["config"]["data"]), embedded
 
 
 def network_feeds(inputs: Inputs, embedding: InferenceSession, network: InferenceSession) -> Feeds:
@@ -138,14 +146,14 @@ def network_feeds(inputs: Inputs, embedding: InferenceSession, network: Inferenc
     return {port.name: arrays[port.name] for port in network.get_inputs()}
 
 
-def body(graph: onnx.GraphProto, fp32: Sequence[str]) -> list[str]:
-    """The nodes to quantise: the U-Net between the first layer and the heads, without the layers of `fp32`."""
+def body(graph: onnx.GraphProto, layers: tuple[str, ...], fp32: Sequence[str]) -> list[str]:
+    """The nodes to quantise: convolutions of `layers` but those of `fp32`, and what joins their results."""
     resized = {output for node in graph.node if node.op_type == "Resize" for output in node.output}
 
     def inside(node: onnx.NodeProto) -> bool:
         if node.op_type == "Conv":
             layer = node.input[1].removeprefix("model.").removesuffix(".weight")
-            return layer.startswith(BODY) and layer not in fp32
+            return layer.startswith(layers) and layer not in fp32
         return node.op_type in ("MaxPool", "Resize") or (node.op_type == "Add" and bool(resized & set(node.input)))
 
     return [node.name for node in graph.node if inside(node)]
@@ -167,5 +175,5 @@ def error(denoiser: Denoiser, batch: Batch, spp: int) -> float:
     if not float(batch.inputs["variance.present"]):
         del buffers["variance"]
     image = denoiser.run_buffers(buffers, samples_per_pixel=spp, exposure=exposure).color * exposure
-    halves = (batch.reference[f"half_{name}"] * exposure for name in "ab")
+    halves = (batch.truth[f"half_{name}"] * exposure for name in "ab")
     return float(halves_error(torch.from_numpy(image).movedim(-1, 0)[None], *halves))

@@ -1,4 +1,4 @@
-"""The pathfold family (fast, balanced, high): a U-Net at half resolution that predicts a trusted gather pyramid.
+"""A U-Net at half resolution that predicts a trusted gather pyramid, and what is made of its prediction.
 
 Feature maps of level l have 1 / 2^l of the frame's resolution; level 0 is predicted at level 1, four pixels at a time
 (pixel shuffle). Everything is padded to whole 16 x 16 blocks inside the network.
@@ -13,14 +13,10 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from .embedding import INPUT_DEVIATION, INPUT_MEAN, sample_sum
-from .features import DESCRIPTOR_CHANNELS
-from .kpcn import path_features
-from .reconstruct import COARSEST_LOGITS, KERNEL_TAPS, LEVEL_LOGITS, gather_factor, gather_pyramid
-from .sizes import PathfoldSizes
+from ..embedding import Standardised, path_features, sample_sum
+from ..reconstruct import COARSEST_LOGITS, KERNEL_TAPS, LEVEL_LOGITS, gather_factor, gather_pyramid
+from .sizes import ALIGNMENT, PathfoldSizes
 
-LEVELS = 5
-ALIGNMENT = 1 << (LEVELS - 1)
 OPTIONAL = ("variance", "albedo", "normal", "depth", "paths")
 PIXEL_CHANNELS = 3 + 1 + 3 + 3 + 1
 ALBEDO_EPSILON = 0.01  # of the demodulator albedo + epsilon: bounds what a black albedo can amplify to a hundredfold
@@ -40,7 +36,7 @@ class Prediction(NamedTuple):
     logits: list[
         Tensor
     ]  # from 1/2 to 1/16; at 1/2 level 0's, four pixels as above, then level 1's: B x 150 x H/2 x W/2
-    cleaning: list[Tensor]  # likewise of the albedo's own pyramid, at 1/2 and 1/4; empty where it is not cleaned
+    cleaning: list[Tensor]  # likewise of the albedo's own pyramid, at 1/2 and 1/4
 
     def flat(self) -> list[Tensor]:
         """All of it, in the order of output_shapes."""
@@ -53,7 +49,7 @@ class Filtered(NamedTuple):
     image: Tensor  # radiance B x 3 x H x W, linear and unexposed
     logits: list[Tensor]
     paths: Tensor  # embeddings N x C x H x W
-    cleaned: Tensor | None  # B x 3 x H x W, the cleaned factor that it was multiplied by; None where none was cleaned
+    cleaned: Tensor  # B x 3 x H x W, the cleaned factor that it was multiplied by
 
 
 def block(inputs: int, width: int, count: int) -> nn.Sequential:
@@ -64,59 +60,28 @@ def block(inputs: int, width: int, count: int) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-class Standardised(nn.Conv2d):
-    """A 1x1 convolution of descriptors that are brought to mean 0 and deviation 1 first: it learns them sooner.
-
-    `weight` and `bias` belong to the scaled inputs; `folded` gives those for inputs as they are.
-    """
-
-    mean: Tensor
-    deviation: Tensor
-
-    def __init__(self, outputs: int) -> None:
-        super().__init__(DESCRIPTOR_CHANNELS, outputs, 1)
-        for name, values in (("mean", INPUT_MEAN), ("deviation", INPUT_DEVIATION)):
-            self.register_buffer(name, torch.tensor(values).reshape(1, -1, 1, 1), persistent=False)
-
-    def folded(self) -> tuple[Tensor, Tensor]:
-        """Weight O x 36 x 1 x 1 and bias O."""
-        assert self.bias is not None
-        weight = self.weight / self.deviation
-        return weight, self.bias - (weight * self.mean).sum((1, 2, 3))
-
-    def unfold(self, weight: Tensor, bias: Tensor) -> None:
-        """The reverse: takes what `folded` is to give."""
-        with torch.no_grad():
-            self.weight.copy_(weight * self.deviation)
-            self.bias.copy_(bias + (weight * self.mean).sum((1, 2, 3)))  # type: ignore[union-attr]
-
-    def forward(self, x: Tensor) -> Tensor:
-        return functional.conv2d(x, *self.folded())
-
-
-class Pathfold(nn.Module):
+class UNet(nn.Module):
     """Buffers of B frames (and their samples, image after image) -> trust and kernel logits of every level."""
 
-    def __init__(self, network: PathfoldSizes) -> None:
+    def __init__(self, sizes: PathfoldSizes) -> None:
         super().__init__()
-        self.network = network
-        widths, counts = network.widths, network.convolutions
+        self.sizes = sizes
+        widths, counts = sizes.widths, sizes.convolutions
         self.sample = nn.Sequential(
-            Standardised(SAMPLE_WIDTH) if network.scaled else nn.Conv2d(DESCRIPTOR_CHANNELS, SAMPLE_WIDTH, 1),
+            Standardised(SAMPLE_WIDTH),
             nn.ReLU(inplace=True),
             nn.Conv2d(SAMPLE_WIDTH, SAMPLE_WIDTH, 1),
             nn.ReLU(inplace=True),
-            nn.Conv2d(SAMPLE_WIDTH, network.embedding, 1),
+            nn.Conv2d(SAMPLE_WIDTH, sizes.embedding, 1),
         )
         self.presence = nn.Linear(len(OPTIONAL), widths[0])  # presence planes, folded into the first layer's bias
-        self.first = nn.Conv2d(4 * PIXEL_CHANNELS + 2 * network.embedding, widths[0], 3, padding=1)
+        self.first = nn.Conv2d(4 * PIXEL_CHANNELS + 2 * sizes.embedding, widths[0], 3, padding=1)
         self.down = nn.ModuleList([block(widths[0], widths[0], counts[0] - 1)])
         self.down.extend(block(a, b, n) for (a, b), n in zip(pairwise(widths), counts[1:], strict=True))
         self.project = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(widths))
         self.up = nn.ModuleList(block(a, a, n) for a, n in zip(widths[:-1], counts[:-1], strict=True))
         self.trust = nn.Conv2d(widths[0], 4, 1)
-        cleaning = ALBEDO_HEADS if network.demodulate and network.clean else []
-        self.albedo_heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, cleaning, strict=False))
+        self.albedo_heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, ALBEDO_HEADS, strict=False))
         self.heads = nn.ModuleList(nn.Conv2d(w, n, 1) for w, n in zip(widths, HEADS, strict=True))
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
@@ -126,14 +91,8 @@ class Pathfold(nn.Module):
             head.weight.data.zero_()
             head.bias.data.zero_()
         self.trust.bias.data.fill_(TRUST_START)  # type: ignore[union-attr]
-        if self.cleans:
-            finest = self.albedo_heads[0].bias.data[: 4 * LEVEL_LOGITS].view(LEVEL_LOGITS, 4)  # type: ignore[index]
-            finest[len(KERNEL_TAPS) // 2], finest[-1] = ALBEDO_CENTRE, ALBEDO_BLEND
-
-    @property
-    def cleans(self) -> bool:
-        """Whether the albedo is cleaned before it divides and multiplies radiance."""
-        return len(self.albedo_heads) > 0
+        finest = self.albedo_heads[0].bias.data[: 4 * LEVEL_LOGITS].view(LEVEL_LOGITS, 4)  # type: ignore[index]
+        finest[len(KERNEL_TAPS) // 2], finest[-1] = ALBEDO_CENTRE, ALBEDO_BLEND
 
     def forward(self, inputs: dict[str, Tensor], counts: list[int] | None = None) -> tuple[Prediction, Tensor]:
         """What is predicted, and the embeddings N x C x H x W of the samples."""
@@ -150,7 +109,7 @@ class Pathfold(nn.Module):
 
     def entrance(self, inputs: dict[str, Tensor], sums: Tensor) -> Tensor:
         """Buffers and embedding_sums -> the first layer's result at half resolution, before its ReLU."""
-        pixels = functional.pixel_unshuffle(aligned(pixel_features(inputs, self.network.demodulate)), 2)
+        pixels = functional.pixel_unshuffle(aligned(pixel_features(inputs)), 2)
         x = torch.cat([pixels, embedding_moments(sums)], 1).contiguous(memory_format=torch.channels_last)
         return self.first(x) + self.presence(presence(inputs))[:, :, None, None]
 
@@ -189,28 +148,23 @@ class Pathfold(nn.Module):
         """Predict, and apply it to the frames."""
         predicted, paths = self(inputs, counts)
         with torch.autocast(paths.device.type, enabled=False):
-            factor = demodulator(inputs) if self.network.demodulate else None
-            image, cleaned = reconstruct(predicted, inputs["radiance"], factor)
-            return Filtered(image, predicted.logits, paths, cleaned if self.cleans else None)
+            image, cleaned = reconstruct(predicted, inputs["radiance"], demodulator(inputs))
+            return Filtered(image, predicted.logits, paths, cleaned)
 
 
-def reconstruct(predicted: Prediction, radiance: Tensor, factor: Tensor | None) -> tuple[Tensor, Tensor | None]:
+def reconstruct(predicted: Prediction, radiance: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
     """What was predicted, applied to radiance B x 3 x H x W, and what it was multiplied by.
 
-    It is divided by `factor` while it is filtered or, with `cleaning`, by what its own pyramid makes of that: where a
-    mirror's share of the samples carries another albedo, dividing by the noisy one brings its noise in.
+    It is divided, while it is filtered, by what a pyramid of its own makes of `factor`: where a mirror's share of the
+    samples carries another albedo, dividing by the noisy one brings its noise in.
     """
     trust, levels = functional.pixel_shuffle(predicted.trust, 2), by_level(predicted.logits)
-    if factor is None:
-        return gather_pyramid(trust, levels, radiance), None
-    factor = clean_factor(predicted, radiance, factor)
-    return gather_pyramid(trust, levels, radiance / factor) * factor, factor
+    cleaned = clean_factor(predicted, radiance, factor)
+    return gather_pyramid(trust, levels, radiance / cleaned) * cleaned, cleaned
 
 
 def clean_factor(predicted: Prediction, radiance: Tensor, factor: Tensor) -> Tensor:
     """What radiance is divided and multiplied by, B x 3 x H x W: pixels whose radiance is not finite take no part."""
-    if not predicted.cleaning:
-        return factor
     return gather_factor(by_level(predicted.cleaning), factor, torch.isfinite(radiance).all(1, keepdim=True))
 
 
@@ -227,7 +181,7 @@ def demodulator(inputs: dict[str, Tensor]) -> Tensor:
     return present * (inputs["albedo"] + ALBEDO_EPSILON) + (1.0 - present)
 
 
-def pixel_features(inputs: dict[str, Tensor], demodulate: bool) -> Tensor:
+def pixel_features(inputs: dict[str, Tensor]) -> Tensor:
     """The network's view of the buffers, B x 11 x H x W: logs of exposed radiance and its deviation, guides."""
     scale = inputs["exposure"].reshape(-1, 1, 1, 1)
     mean = inputs["radiance"] * scale
@@ -236,7 +190,7 @@ def pixel_features(inputs: dict[str, Tensor], demodulate: bool) -> Tensor:
     far = inputs["depth"] * inputs["depth_scale"].reshape(-1, 1, 1, 1)
     depth = 1.0 - 1.0 / (1.0 + far)  # [0, 1), whatever the scene's unit
     albedo = torch.clamp(inputs["albedo"], 0.0, 1.0)
-    color = torch.clamp(mean / demodulator(inputs) if demodulate else mean, max=RADIANCE_CEILING)
+    color = torch.clamp(mean / demodulator(inputs), max=RADIANCE_CEILING)
     return torch.cat([torch.log1p(color), torch.log1p(16.0 * relative), albedo, inputs["normal"], depth], 1)
 
 
@@ -281,41 +235,3 @@ def aligned(x: Tensor) -> Tensor:
 
 def upsample(x: Tensor) -> Tensor:
     return functional.interpolate(x, scale_factor=2.0, mode="nearest")
-
-
-def overlap(network: PathfoldSizes) -> int:
-    """Pixels around a tile that its result depends on, a multiple of 16: follows radii through the layers.
-
-    A map at level l of radius r depends on the pixels of its cell and r more on every side: a 3x3 convolution adds
-    2^l, pooling nothing, upsampling to level l (the parent may start one cell earlier) 2^l.
-    """
-    radius = [0]
-    for level, count in enumerate(network.convolutions):  # the U-Net's level 0 is the pyramid's level 1
-        radius.append(radius[-1] + count * 2 ** (level + 1))
-    near = radius[1] + 1  # trust's: it is used for both pixels of a cell
-    logits = {LEVELS - 1: radius[-1]}
-    here = radius[-1]
-    for level in reversed(range(1, LEVELS - 1)):
-        here += (1 + network.convolutions[level - 1]) * 2**level
-        logits[level] = here
-    logits[0] = here + 1
-    # the gather reads level l's logits at the cells that upsampling reaches from the pixel
-    reach = [2 ** (level + 1) - 2 for level in range(LEVELS)]
-    taps = [2 * 2**level + reach[level] for level in range(LEVELS)]  # two cells further, of a pyramid of so many levels
-    if network.demodulate and network.clean:  # a tap's radiance is divided by what another pyramid makes of its albedo
-        near = max(near, taps[2], *(radius[level] + reach[level] for level in (1, 2)))
-    most = max(taps[-1] + near, *(logits[level] + reach[level] for level in range(LEVELS)))
-    return -(-most // ALIGNMENT) * ALIGNMENT
-
-
-def macs_per_pixel(network: PathfoldSizes, spp: int) -> float:
-    """Multiply-adds of the convolutions per output pixel, from the layers' sizes."""
-    model, total = Pathfold(network), 0.0
-    seen = min(spp, network.path_samples)
-    for name, module in model.named_modules():
-        if isinstance(module, nn.Conv2d):
-            parts = name.split(".")
-            level = int(parts[1]) + 1 if parts[0] in ("down", "up", "heads", "albedo_heads") else 1
-            level = int(parts[1]) + 2 if parts[0] == "project" else level
-            total += module.weight.numel() * (seen if parts[0] == "sample" else 0.25**level)
-    return total

@@ -12,32 +12,32 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from . import pathfold
-from .features import DESCRIPTOR_SCALES, descriptor_logs
-from .pathfold import OPTIONAL, PIXEL_CHANNELS, Pathfold, Standardised
+from ..embedding import Standardised
+from ..features import DESCRIPTOR_SCALES, descriptor_logs
+from .unet import OPTIONAL, PIXEL_CHANNELS, UNet, aligned, embedding_moments, pixel_features, presence
 
 
 class EmbeddingGraph(nn.Module):
-    """Descriptors S x 36 x H x W, their validity and exposure -> pathfold.embedding_sums, 1 x (2C + 1) x H/2 x W/2."""
+    """Descriptors S x 36 x H x W, their validity and exposure -> embedding_sums, 1 x (2C + 1) x H/2 x W/2."""
 
     input_names = ("samples.descriptor", "samples.valid", "exposure")
 
-    def __init__(self, model: Pathfold) -> None:
+    def __init__(self, model: UNet) -> None:
         super().__init__()
         self.sample = copy.deepcopy(model.sample)
         own = self.sample[0]
-        assert isinstance(own, nn.Conv2d) and own.bias is not None
-        weight, bias = own.folded() if isinstance(own, Standardised) else (own.weight, own.bias)
+        assert isinstance(own, Standardised)
+        weight, bias = own.folded()
         first = nn.Conv2d(own.in_channels, own.out_channels, 1)
         first.weight.data = weight.detach() / torch.tensor(DESCRIPTOR_SCALES).reshape(1, -1, 1, 1)
         first.bias.data = bias.detach()  # type: ignore[union-attr]
         self.sample[0] = first
-        self.channels = 2 * model.network.embedding + 1
+        self.channels = 2 * model.sizes.embedding + 1
 
     def forward(self, descriptor: Tensor, valid: Tensor, exposure: Tensor) -> Tensor:
         paths = self.sample(descriptor_logs(descriptor, torch.log(exposure))) * valid
         # pooled before they are summed: a quarter of the work
-        parts = [functional.avg_pool2d(pathfold.aligned(x), 2) for x in (paths, paths.square(), valid)]
+        parts = [functional.avg_pool2d(aligned(x), 2) for x in (paths, paths.square(), valid)]
         return torch.cat([x.sum(0, keepdim=True) for x in parts], 1)
 
     def output_shapes(self) -> dict[str, list[int | str]]:
@@ -50,10 +50,10 @@ class NetworkGraph(nn.Module):
     input_names = ("radiance", "variance", "albedo", "normal", "depth", "embedding", "exposure", "depth_scale",
                    *(f"{name}.present" for name in OPTIONAL))  # fmt: skip
 
-    def __init__(self, model: Pathfold) -> None:
+    def __init__(self, model: UNet) -> None:
         super().__init__()
         self.model = model
-        pixels, moments = model.first.weight.detach().split([4 * PIXEL_CHANNELS, 2 * model.network.embedding], 1)
+        pixels, moments = model.first.weight.detach().split([4 * PIXEL_CHANNELS, 2 * model.sizes.embedding], 1)
         # 3x3 on 2x2 unshuffled pixels is 6x6 of stride 2 on the pixels themselves: no transposed copy
         blocks = pixels.unflatten(1, (PIXEL_CHANNELS, 2, 2))  # O, C, y, x in the block, y, x of the kernel
         self.pixels = nn.Parameter(blocks.permute(0, 1, 4, 2, 5, 3).flatten(4, 5).flatten(2, 3).contiguous())
@@ -65,9 +65,9 @@ class NetworkGraph(nn.Module):
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
         inputs = dict(zip(self.input_names, tensors, strict=True))
-        features = pathfold.aligned(pathfold.pixel_features(inputs, self.model.network.demodulate))
-        moments = pathfold.embedding_moments(inputs["embedding"])
-        present = pathfold.presence(inputs)[:, :, None, None].expand(-1, -1, *moments.shape[-2:])
+        features = aligned(pixel_features(inputs))
+        moments = embedding_moments(inputs["embedding"])
+        present = presence(inputs)[:, :, None, None].expand(-1, -1, *moments.shape[-2:])
         entrance = functional.conv2d(features, self.pixels, self.bias, stride=2, padding=2)
         entrance = entrance + functional.conv2d(torch.cat([moments, present], 1), self.moments, padding=1)
         return tuple(self.model.predict(entrance).flat())
@@ -77,7 +77,7 @@ class NetworkGraph(nn.Module):
 
 
 def trained_weights(embedding: dict[str, Tensor], network: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The weights of a Pathfold by name, scales folded, from the parameters of its EmbeddingGraph and NetworkGraph.
+    """The weights of a network by name, scales folded, from the parameters of its EmbeddingGraph and NetworkGraph.
 
     Raises KeyError where one of those that were rearranged is missing.
     """

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from . import embedding
-from .embedding import PathEmbedding, per_sample, pixel_embedding, sample_mean
-from .features import BRANCH_CHANNELS, OPTIONAL, branch_features, density_features, descriptor_features
+from ..embedding import PathEmbedding, path_features, pixel_embedding, sample_mean
+from ..features import BRANCH_CHANNELS, OPTIONAL, branch_features, density_features
 from .sizes import KpcnSizes
 
 BRANCHES = ("diffuse", "specular")
@@ -28,30 +27,30 @@ class Prediction(NamedTuple):
 class Branch(nn.Module):
     """R (and F) of one branch. `demodulate` is set for the diffuse one."""
 
-    def __init__(self, network: KpcnSizes, demodulate: bool) -> None:
+    def __init__(self, sizes: KpcnSizes, demodulate: bool) -> None:
         super().__init__()
         self.demodulate = demodulate
-        self.pointwise = network.last_kernel == 1
-        self.paths = PathEmbedding(network.embedding, network.embedding_width) if network.embedding else None
-        extra = 1 + network.embedding + 1 if network.embedding else 0  # log q, the embedding's mean and variance
-        widths = [BRANCH_CHANNELS + extra] + [network.width] * (network.layers - 1)
+        self.pointwise = sizes.last_kernel == 1
+        self.paths = PathEmbedding(sizes.embedding, sizes.embedding_width) if sizes.embedding else None
+        extra = 1 + sizes.embedding + 1 if sizes.embedding else 0  # log q, the embedding's mean and variance
+        widths = [BRANCH_CHANNELS + extra] + [sizes.width] * (sizes.layers - 1)
         layers: list[nn.Module] = []
         for inputs, outputs in pairwise(widths):
             layers += [nn.Conv2d(inputs, outputs, 5, padding=2), nn.ReLU()]
         self.trunk = nn.Sequential(*layers)
         # a kernel of K*K taps from `width` numbers by one linear layer is of rank `width`: a wider 1x1 layer between
-        wide = nn.Conv2d(network.width, network.head, 1) if network.head else None
+        wide = nn.Conv2d(sizes.width, sizes.head, 1) if sizes.head else None
         self.wide = nn.Identity() if wide is None else nn.Sequential(wide, nn.ReLU())
-        channels, last = network.head or network.width, network.last_kernel
-        self.kernels = nn.Conv2d(channels, network.kernel_size**2, last, padding=last // 2)
+        channels, last = sizes.head or sizes.width, sizes.last_kernel
+        self.kernels = nn.Conv2d(channels, sizes.kernel_size**2, last, padding=last // 2)
         # shuts out a light or a firefly by one number of its own, not by one logit in each of 441 kernels around it
-        self.trust = nn.Conv2d(channels, 1, last, padding=last // 2) if network.trust else None
+        self.trust = nn.Conv2d(channels, 1, last, padding=last // 2) if sizes.trust else None
         for layer in [*self.trunk, wide]:
             if isinstance(layer, nn.Conv2d):  # torch's default halves the signal with every layer
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
                 layer.bias.data.zero_()  # type: ignore[union-attr]
         if wide is not None:  # starts as the identity and some: weights of a network without this layer fit
-            wide.weight.data[: network.width] = torch.eye(network.width)[: network.head, :, None, None]
+            wide.weight.data[: sizes.width] = torch.eye(sizes.width)[: sizes.head, :, None, None]
         if self.trust is not None:
             nn.init.zeros_(self.trust.weight)
             nn.init.zeros_(self.trust.bias)  # type: ignore[arg-type]
@@ -88,46 +87,3 @@ class Branch(nn.Module):
         if lattice > 1 and self.pointwise:  # a 1x1 layer needs no neighbours
             return Prediction(self.kernels(hidden[:, :, offset[0] :: lattice, offset[1] :: lattice]), trust, paths)
         return Prediction(self.kernels(hidden)[:, :, offset[0] :: lattice, offset[1] :: lattice], trust, paths)
-
-
-def path_features(inputs: dict[str, Tensor], counts: list[int] | None = None) -> Tensor:
-    """F's input N x 36 x H x W of a frame or batch."""
-    log_exposure = torch.log(per_sample(inputs["exposure"], counts))
-    features = descriptor_features(inputs["samples.descriptor"], log_exposure)
-    return features.contiguous(memory_format=torch.channels_last)
-
-
-class Kpcn(nn.Module):
-    def __init__(self, network: KpcnSizes) -> None:
-        super().__init__()
-        self.network = network
-        self.branches = nn.ModuleDict({name: Branch(network, name == "diffuse") for name in BRANCHES})
-
-    def branch(self, name: str) -> Branch:
-        module = self.branches[name]
-        assert isinstance(module, Branch)
-        return module
-
-
-def overlap(network: KpcnSizes) -> int:
-    """Pixels around a tile that its result depends on: R, the gradient's one, F, and the kernel; a multiple of 4."""
-    radius = 2 * (network.layers - 1) + network.last_kernel // 2 + 1 + network.kernel_size // 2
-    radius += embedding.RADIUS if network.embedding else 0
-    return -(-radius // embedding.ALIGNMENT) * embedding.ALIGNMENT
-
-
-def macs_per_pixel(network: KpcnSizes, spp: int) -> float:
-    """Multiply-adds per output pixel, both branches, from the layers' sizes."""
-    total = 0.0
-    for branch in Kpcn(network).branches.values():
-        for name, module in branch.named_modules():
-            if isinstance(module, nn.Conv2d):
-                share = 1.0
-                if "middle" in name:
-                    share = 1 / 4
-                elif "bottom" in name:
-                    share = 1 / 16
-                elif name.startswith(("paths.sample", "paths.head_sample")) or name == "paths.head":
-                    share = spp
-                total += share * module.weight.numel()
-    return total
