@@ -199,6 +199,15 @@ def test_presets_are_valid_and_shipped_models_say_how_they_were_trained() -> Non
         assert trained_on(manifest)[1] > 0
 
 
+def test_a_preset_differs_from_its_family_in_what_it_says(tmp_path: Path) -> None:
+    own = tmp_path / "own.yaml"
+    own.write_text("name: own\ndescription: a\nnetwork: {family: pathfold, embedded: 0}\nloss: {energy: 0.25}\n")
+    config, other = load_preset(str(own)), load_preset("pathfold-balanced")
+    assert config.data == other.data and config.optimiser == other.optimiser
+    assert config.loss == other.loss.model_copy(update={"energy": 0.25})
+    assert config.network == other.network.model_copy(update={"embedded": 0})
+
+
 def test_manifold_loss_is_zero_for_an_isometry_of_the_labels_and_not_otherwise() -> None:
     label = tone_map(torch.rand(2, 3, 6, 6))
     same = torch.cat([label[0].expand(3, 3, 6, 6), label[1].expand(2, 3, 6, 6)])

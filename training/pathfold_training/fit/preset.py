@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
 import yaml
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
@@ -65,10 +65,13 @@ class Config(Strict):
 
     @staticmethod
     def load(path: Path) -> Config:
-        """Read a preset. Raises ValueError naming the file and each key that does not fit."""
+        """Read a preset; what it does not say is as its family has it.
+
+        Raises ValueError naming the file and each key that does not fit.
+        """
         there = f"there are: {', '.join(preset_names())}"
         try:
-            return Config.model_validate(yaml.safe_load(path.read_text()))
+            return Config.model_validate(with_defaults(yaml.safe_load(path.read_text())))
         except FileNotFoundError:
             raise ValueError(f"no preset {path}; {there}") from None
         except OSError as error:
@@ -98,6 +101,19 @@ def problems(error: ValidationError) -> str:
 
 HERE = Path(__file__).resolve().parent.parent  # the package
 PRESETS = HERE / "presets" if (HERE / "presets").is_dir() else HERE.parent / "presets"  # in a wheel; in a checkout
+
+
+def with_defaults(preset: Any) -> Any:
+    """What a preset file holds, over what presets/families/ has for its family; what is no preset stays as it is."""
+    network = preset.get("network", {}) if isinstance(preset, dict) else None
+    file = PRESETS / "families" / f"{family(network)}.yaml"
+    if not isinstance(network, dict) or not file.is_file():
+        return preset
+    merged = dict(preset)
+    for part, values in yaml.safe_load(file.read_text()).items():
+        own = preset.get(part, {})
+        merged[part] = values | own if isinstance(own, dict) else own
+    return merged
 
 
 def preset_names() -> list[str]:

@@ -15,9 +15,9 @@ FAMILIES = {
 }
 
 
-def family(network: Sizes | dict) -> str:
+def family(network: object) -> str:
     """Of a preset's block `network`; 'kpcn' where it does not say."""
-    return network.get("family", "kpcn") if isinstance(network, dict) else network.family
+    return network.get("family", "kpcn") if isinstance(network, dict) else getattr(network, "family", "kpcn")
 
 
 def build(sizes: Sizes) -> Network:
