@@ -82,9 +82,9 @@ def render(
 
 def _lost(line: store.Line) -> bool:
     """Its reference is gone, and so is the generator that made its scene: the view has to be made anew."""
-    made_by = line.get("generator", 1)
-    if store.REFERENCES in line["files"] or line["kind"] != "procedural" or made_by == GENERATOR:
+    if store.REFERENCES in line["files"] or line["kind"] != "procedural" or line["generator"] == GENERATOR:
         return False
+    made_by = line["generator"]
     log.warning("%s left out: its reference is lost, and generator %s that made its scene is too", line["id"], made_by)
     return True
 
@@ -96,7 +96,7 @@ def _missing(
     paths = {task.id: task.path for task in wanted}
     tasks = [task for task in wanted if task.id not in lines]
     for line in lines.values():
-        had = line.get("budget", BUDGET)  # data sets did not say it at first
+        had = line["budget"]
         spend = max(had, budget or 0.0)
         better = spend > had and line["reference_rell2"] >= GOOD  # a good one would come out the same
         lacks = {

@@ -233,9 +233,9 @@ def _new_scene(task: Task) -> tuple[Any, Line]:
 def _known_scene(task: Task, line: Line) -> tuple[Any, Line]:
     """The scene of an index line with its camera aimed again."""
     size = line["width"], line["height"]
-    if line["kind"] == "procedural" and line.get("generator", 1) != procedural.GENERATOR:
+    if line["kind"] == "procedural" and line["generator"] != procedural.GENERATOR:
         raise RejectedError(
-            f"generator {line.get('generator', 1)} made its scene and this is {procedural.GENERATOR}; "
+            f"generator {line['generator']} made its scene and this is {procedural.GENERATOR}; "
             "render the data set anew, or what this view lacks with the version that made it"
         )
     scene = _load_file(task) if line["kind"] == "library" else _build(line["scene_seed"])[1]
