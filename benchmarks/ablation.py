@@ -30,6 +30,7 @@ import pages
 import torch
 from pathfold.report.tables import markdown
 from pathfold_training.dataset import store
+from pathfold_training.dataset.clean import clean
 from pathfold_training.files import write_whole
 from pathfold_training.fit.checkpoint import commit, training_seconds
 from pathfold_training.fit.preset import Config, load_preset
@@ -102,7 +103,7 @@ def subset(data: Path, folder: Path, share: float) -> Path:
         chosen = chosen_scenes([str(line["scene"]) for line in lines if line["split"] == "train"], share)
         kept = [line for line in lines if line["split"] != "train" or str(line["scene"]) in chosen]
         folder.mkdir(parents=True, exist_ok=True)
-        for kind in store.KINDS:
+        for kind in (*store.KINDS, "cleaned"):
             if not (folder / kind).is_symlink():
                 (folder / kind).symlink_to((data / kind).resolve(), target_is_directory=True)
         write_whole(folder / "index.jsonl", "".join(json.dumps(line) + "\n" for line in kept).encode())
@@ -180,6 +181,8 @@ def main() -> None:
         raise SystemExit(f"{options.preset} is not of the pathfold family")
     warmup = min(preset.optimiser.warmup, options.steps // 10)
     preset = changed(preset, {"optimiser": {"steps": options.steps, "warmup": max(1, warmup)}})
+    if preset.data.cleaned:
+        clean(options.data)
     part = partial(subset, options.data)
     views = Stored(part(options.work / "data-100", 1.0)).held_out()
     findings = pages.Findings(PAGE, options.output, [])

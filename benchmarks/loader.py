@@ -23,6 +23,7 @@ import pages
 import torch
 from pathfold.report.tables import markdown
 from pathfold_training.dataset import store
+from pathfold_training.dataset.clean import clean
 from pathfold_training.fit.crops import Crops
 from pathfold_training.fit.preset import Config, load_preset
 from pathfold_training.fit.task import Denoising
@@ -45,8 +46,8 @@ def write_noise(folder: Path, views: int = 8) -> Path:
         for name in ("color", "diffuse", "diffuse.albedo", "half_a.color", "half_b.color"):
             tensors[f"reference.{name}"] = rng.random((3, SIDE, SIDE), np.float32)
         tensors["importance"] = np.ones((SIDE, SIDE), np.float32)
-        line = {"id": str(number), "split": "train" if number else "val", "spp": SPP, "crop": SIDE, "crops": [[0, 0]]}
-        line |= {"scene": str(number), "exposure": 1.0, "depth_scale": 1.0}
+        line = {"id": str(number), "split": "train" if number else "val", "spp": SPP, "described": SPP}
+        line |= {"scene": str(number), "exposure": 1.0, "depth_scale": 1.0, "crop": SIDE, "crops": [[0, 0]]}
         store.append_line(folder, store.write(folder, line, tensors))
     return folder
 
@@ -59,9 +60,9 @@ def seconds(run: Callable[[], Any]) -> tuple[float, Any]:
 
 def measure(config: Config, data: Path, batches: int) -> dict[str, float]:
     """Medians in seconds for a batch and for a step of training on it, and megabytes of tensors a second."""
+    if config.data.cleaned:
+        clean(data)
     stored = Stored(data)
-    for view in stored.train if config.data.cleaned else []:
-        _ = view.cleaned  # made once, kept from here on
     crops = Crops(stored, config.data, seed=0, paths=config.network.path_samples, albedo=config.loss.albedo > 0.0)
     stream = iter(crops)
     task = Denoising(config)

@@ -22,6 +22,7 @@ from unittest import mock
 import pages
 from pathfold.report.tables import markdown
 from pathfold_training.dataset import store
+from pathfold_training.dataset.clean import clean
 from pathfold_training.dataset.render import render
 from pathfold_training.fit.preset import Config, load_preset
 from pathfold_training.fit.train import fit
@@ -58,6 +59,8 @@ def measure(budget: float, loss: str, preset: Config, held_out: Sequence[Window]
     """What a budget made, and the scores of the networks trained on it with a loss: logs, one per seed."""
     data = options.work / f"budget-{budget:g}"
     render_for(60 * options.core_minutes, data, budget)
+    if preset.data.cleaned:
+        clean(data)
     views = store.read_index(data)
     optimiser = preset.optimiser.model_copy(update={"steps": options.steps})
     chosen = preset.loss.model_copy(update={"image": "robust"})
@@ -105,10 +108,10 @@ def main() -> None:
     parser.add_argument("--clean", type=float, default=30, help="core-seconds of their references")
     parser.add_argument("-o", "--output", type=Path, default=pages.RESULTS, help="folder for the page and its data")
     options = parser.parse_args()
-    clean = options.work / "held-out"
-    render(clean, procedural=options.held_out, budget=options.clean, seed=HELD_OUT_SEED, held_out=0.0)
+    scored_on = options.work / "held-out"
+    render(scored_on, procedural=options.held_out, budget=options.clean, seed=HELD_OUT_SEED, held_out=0.0)
     preset = load_preset(options.preset)
-    held_out = Stored(clean).train
+    held_out = Stored(scored_on).train
     findings = pages.Findings(PAGE, options.output, [])
     asked = {name: getattr(options, name) for name in ("preset", "steps", "seeds", "core_minutes", "held_out", "clean")}
     for budget in options.budgets:

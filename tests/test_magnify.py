@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from pathfold_training.dataset.clean import clean
 from pathfold_training.fit.crops import Crops
 from pathfold_training.fit.frames import PATH_NAMES
 from pathfold_training.fit.magnify import Magnifier, turns, window
@@ -62,7 +63,9 @@ def test_turns_count_what_came_before() -> None:
 
 @pytest.mark.parametrize("paths", [0, 2])
 def test_batches_of_magnified_crops_look_like_others(tmp_path: Path, paths: int) -> None:
-    stored = Stored(write_data_set(tmp_path / "data"))
+    folder = write_data_set(tmp_path / "data")
+    clean(folder)
+    stored = Stored(folder)
     settings = Data(crop=24, batch=2, spp_max=8, cleaned=True)
     plain = next(iter(Crops(stored, settings, 3, paths, albedo=True)))
     magnified = Crops(stored, settings.model_copy(update={"magnified": 1.0}), 3, paths, albedo=True)
@@ -85,7 +88,7 @@ def view_of_many_samples(noisy: bool) -> Window:
     described = {name: tensors[name][:, :16] for name in PATH_NAMES}
     line = {"scene": "smooth", "spp": 64, "described": 16, "crop": SIDE, "crops": [[0, 0]]}
     line |= {"exposure": 1.0, "depth_scale": 1.0}
-    return Window(line, (tensors | described).__getitem__, 0)
+    return Window(line, (tensors | described).__getitem__, 0, lambda: tensors["reference.color"])
 
 
 def test_a_magnified_crop_shows_what_its_reference_does_and_its_own_paths() -> None:

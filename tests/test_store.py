@@ -156,7 +156,7 @@ def test_an_empty_folder_says_how_to_fill_it(tmp_path: Path) -> None:
 
 
 def test_another_format_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "index.jsonl").write_text('{"id": "a", "spp": 16}\n')
+    (tmp_path / "index.jsonl").write_text('{"format": 1, "id": "a", "spp": 16}\n')
     with pytest.raises(ValueError, match=r"format 1, this version reads format 2: render it anew"):
         store.Store(tmp_path)
 

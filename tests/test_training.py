@@ -2,7 +2,6 @@
 
 import json
 import logging
-import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +12,7 @@ import torch
 from pathfold.metrics import rell2
 from pathfold.models import ALL_SAMPLES
 from pathfold_training import cli
-from pathfold_training.dataset import store
 from pathfold_training.dataset.store import append_line, read_index, write
-from pathfold_training.fit import views
 from pathfold_training.fit.augment import add_fireflies, augment
 from pathfold_training.fit.checkpoint import start_record
 from pathfold_training.fit.crops import Crops
@@ -188,7 +185,8 @@ def test_views_of_few_samples_and_of_several_sizes_are_trained_on(tmp_path: Path
             name: value[..., :side, :side] if not name.startswith("samples.") else value[:, :4, :, :side, :side]
             for name, value in view_tensors(line["seed"]).items()
         }
-        append_line(folder, write(folder, line | {"spp": 4, "width": side, "height": side, "crop": side}, tensors))
+        line |= {"spp": 4, "described": 4, "width": side, "height": side, "crop": side}
+        append_line(folder, write(folder, line, tensors))
     fit(TINY.with_steps(2), folder, tmp_path / "run", validate_every=1, threads=1)
     (batch,) = list(ValidationViews(Stored(folder).held_out(), ALL_SAMPLES))
     assert batch.counts == [4]
@@ -354,7 +352,7 @@ def test_a_view_is_scored_without_the_noise_of_its_reference() -> None:
     clean = tensors["reference.color"] + 1.0  # where it is dark, noise makes its weight uncertain
     halves = {"reference.half_a.color": clean + noise[0], "reference.half_b.color": clean + noise[1]}
     line = {"scene": "smooth", "spp": 8, "described": 8, "crop": SIDE, "crops": [[0, 0]]}
-    view = Window(line | {"exposure": 1.0, "depth_scale": 1.0}, (tensors | halves).__getitem__, 0)
+    view = Window(line | {"exposure": 1.0, "depth_scale": 1.0}, (tensors | halves).__getitem__, 0, lambda: clean)
     batch = ValidationViews([view], ALL_SAMPLES, 4)[0]
     task = Denoising(TINY)
     task.denoise = lambda _: torch.from_numpy(clean + 0.04)[None]  # a picture whose error is known
@@ -363,26 +361,6 @@ def test_a_view_is_scored_without_the_noise_of_its_reference() -> None:
     assert float(task.ratio_log(batch).exp()) == pytest.approx(expected, rel=0.2)
     with_noise = batch.truth | dict.fromkeys(("half_a", "half_b"), torch.from_numpy(sum(halves.values()) / 2)[None])
     assert float(task.ratio_log(replace(batch, truth=with_noise)).exp()) > 1.5 * expected
-
-
-def test_cleaned_references_are_kept_until_the_view_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = write_data_set(tmp_path / "data", 2)
-    calls = []
-    monkeypatch.setattr(views, "cleaned", lambda a, *_: calls.append(1) or np.full_like(a, len(calls)))
-    assert float(Stored(folder).train[0].cleaned.mean()) == 1.0
-    again = Stored(folder).train[0].cleaned
-    assert again.shape == (3, 40, 40) and float(again.mean()) == 1.0 and len(calls) == 1
-    line = json.loads((folder / "index.jsonl").read_text().splitlines()[0])
-    append_line(folder, write(folder, line, {n: v + 1.0 for n, v in view_tensors(0).items()}))
-    assert float(Stored(folder).train[0].cleaned.mean()) == 2.0
-    (kept,) = {path for path in (folder / "cleaned").iterdir() if np.load(path).mean() == 2.0}
-    store.recover(folder)
-    assert list((folder / "cleaned").iterdir()) == [kept]
-    kept.write_bytes(b"")
-    assert float(Stored(folder).train[0].cleaned.mean()) == 3.0
-    shutil.rmtree(folder / "cleaned")
-    (folder / "cleaned").write_text("where nothing can be kept")
-    assert float(Stored(folder).train[0].cleaned.mean()) == 4.0
 
 
 def test_paths_of_the_first_samples_alone_are_read(data_set: Path) -> None:
@@ -401,7 +379,7 @@ def test_samples_are_any_subset_and_begin_with_those_whose_paths_are_stored(tmp_
     tensors = view_tensors(0)
     stored = {name: v[:, :3] if name in PATH_NAMES else v for name, v in tensors.items()}
     line = json.loads((write_data_set(tmp_path / "data", 1) / "index.jsonl").read_text())
-    view = Window(line | {"described": 3}, stored.__getitem__, 0)
+    view = Window(line | {"described": 3}, stored.__getitem__, 0, lambda: stored["reference.color"])
     rng = np.random.default_rng(1)
     drawn = [view.subset(count, 2, rng) for count in (1, 2, 5, 8) for _ in range(50)]
     for numbers in drawn:

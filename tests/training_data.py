@@ -14,9 +14,9 @@ def write_data_set(folder: Path, views: int = 3) -> Path:
     for number in range(views):
         split = "val" if number == views - 1 else "train"
         line = {"id": f"view-{number}", "scene": "smooth", "kind": "procedural", "split": split, "seed": number}
-        line |= {"licence": "CC0-1.0", "width": SIDE, "height": SIDE, "spp": SAMPLES, "reference_spp": 1024}
-        line |= {"max_depth": 6, "reference_rell2": 0.0, "content": "room", "path": "", "cpu_seconds": 0.0}
-        line |= {"exposure": 0.5, "depth_scale": 0.4, "crop": SIDE, "crops": [[0, 0]]}
+        line |= {"licence": "CC0-1.0", "width": SIDE, "height": SIDE, "spp": SAMPLES, "described": SAMPLES}
+        line |= {"reference_spp": 1024, "reference_rell2": 0.0, "max_depth": 6, "content": "room", "path": ""}
+        line |= {"exposure": 0.5, "depth_scale": 0.4, "crop": SIDE, "crops": [[0, 0]], "cpu_seconds": 0.0}
         append_line(folder, write(folder, line, view_tensors(number)))
     return folder
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import typer
 from pathfold.cli.console import run as run_application
 from rich.console import Console
+from rich.progress import Progress
 from rich.table import Table
 
 from .dataset import contents, store
@@ -122,6 +123,19 @@ def _words(value: Any) -> str:
     if isinstance(value, list):
         return ", ".join(map(_words, value)) or "none"
     return f"{value:.2g}" if isinstance(value, float) else str(value)
+
+
+@dataset.command("clean")
+def dataset_clean(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="data set made by 'pathfold-train render'")],
+) -> None:
+    """Make the references without noise that the pathfold presets learn from, by OIDN; those that are there stay."""
+    from .dataset.clean import clean
+
+    with Progress(console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("windows")
+        made = clean(folder, lambda done, total: progress.update(bar, completed=done, total=total))
+    console.print(f"{folder}: {made} references cleaned")
 
 
 @dataset.command("sheet")

@@ -1,18 +1,62 @@
-"""References without most of their noise, to learn from. They inherit a denoiser's habits: never score by them.
+"""References without most of their noise, to learn from: `pathfold-train dataset clean`.
 
-Data sets keep them: count store.CLEANING up when they come out otherwise.
+They inherit a denoiser's habits: never score by them. Data sets keep them: count store.CLEANING up when they come out
+otherwise.
 """
 
 from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pathfold.bench import peers
 from pathfold.metrics import EPSILON
 
+from ..files import make_folder, write_whole
+from .store import Line, Store, cleaned_path, read_cleaned
+from .truth import window_halves
+
 REACH = 15  # pixels of the square over which errors are compared
 
 Image = NDArray[np.float32]
+
+
+def clean(folder: Path, tell: Callable[[int, int], None] = lambda done, total: None) -> int:
+    """Make the cleaned references of a data set's training windows that lack one; returns how many those were.
+
+    `tell` is called with the number of windows that are done and of all. Raises FileNotFoundError for a folder without
+    views, OSError where nothing can be written, ModuleNotFoundError without pyoidn.
+    """
+    store = Store(folder)
+    make_folder(folder / "cleaned")
+    windows = [(line, number) for line in store.split("train") for number in range(len(line["crops"]))]
+    made = 0
+    for done, (line, number) in enumerate(windows, 1):
+        if read_cleaned(folder, line, number) is None:
+            content = io.BytesIO()
+            np.save(content, cleaned_window(line, partial(store.tensor, line["id"]), number))
+            write_whole(cleaned_path(folder, line, number), content.getvalue())
+            made += 1
+        tell(done, len(windows))
+    return made
+
+
+def cleaned_window(line: Line, tensor: Callable[[str], Any], number: int) -> Image:
+    """The reference of window `number` of a view, [3, h, w]; takes a third of a second for 128 x 128 pixels.
+
+    `line` is the view's, `tensor` gives its tensors by name.
+    """
+    a, b = window_halves(line, tensor, number)
+    albedo, normal = (
+        np.nan_to_num(tensor(f"samples.{name}")[number].astype(np.float32).mean(0), posinf=0.0)
+        for name in ("albedo", "normal")
+    )
+    return cleaned(a, b, albedo, normal, line["exposure"])
 
 
 def cleaned(a: Image, b: Image, albedo: Image, normal: Image, exposure: float) -> Image:

@@ -8,8 +8,8 @@ DIR/samples/<id>.safetensors     a shard with N crops of the view, [N, S, C, h, 
                                  .depth, .density; float16: samples.diffuse.albedo, .albedo, .normal, .descriptor.
                                  `crops` in the index says where they lie: [[y, x], ...]. .density and .descriptor are
                                  of the first `described` of S samples. May be deleted to save space.
-DIR/cleaned/<id>-<n>-<key>.npy   crop n of the reference without most of its noise (clean.py), [3, h, w]; kept by
-                                 training, may be deleted.
+DIR/cleaned/<id>-<n>-<key>.npy   crop n of the reference without most of its noise (clean.py), [3, h, w]; may be
+                                 deleted.
 
 Tensors are C-contiguous, so a crop of a few samples touches little of the file.
 """
@@ -33,7 +33,8 @@ from ..files import write_whole
 Arrays = dict[str, NDArray[Any]]
 Line = dict[str, Any]
 FORMAT = 2
-NEEDED = {"id", "files", "scene", "split", "spp", "crop", "crops", "exposure", "depth_scale"}  # in a line
+NEEDED = {"format", "id", "files", "scene", "split", "spp", "described"}  # in a line
+NEEDED |= {"crop", "crops", "exposure", "depth_scale"}
 REFERENCES, SAMPLES = KINDS = "references", "samples"
 OWN = {  # the facts of a line that belong to a kind of file: what its latest one says counts
     REFERENCES: ("reference_spp", "reference_rell2", "exposure", "depth_scale", "budget"),
@@ -59,6 +60,15 @@ def cleaned_path(folder: Path, line: Line, number: int) -> Path:
     sums = "".join(line["files"][kind]["sha256"] for kind in KINDS)
     key = hashlib.sha256(f"{CLEANING} {sums}".encode()).hexdigest()[:16]
     return folder / "cleaned" / f"{line['id']}-{number}-{key}.npy"
+
+
+def read_cleaned(folder: Path, line: Line, number: int) -> NDArray[np.float32] | None:
+    """Crop `number`'s cleaned reference [3, h, w]; None where it is missing or damaged."""
+    try:
+        kept = np.load(cleaned_path(folder, line, number))
+    except (OSError, EOFError, ValueError):
+        return None
+    return kept if kept.shape == (3, line["crop"], line["crop"]) else None
 
 
 def write(folder: Path, line: Line, tensors: Arrays) -> Line:
@@ -110,9 +120,9 @@ def read_index(folder: Path) -> list[Line]:
             line = json.loads(text)
         except ValueError:  # no JSON, or no text at all
             continue
-        if isinstance(line, dict) and line.get("format") != FORMAT:
+        if isinstance(line, dict) and line.get("format", FORMAT) != FORMAT:
             raise ValueError(
-                f"{folder} holds a data set of format {line.get('format', 1)}, this version reads format {FORMAT}: "
+                f"{folder} holds a data set of format {line['format']}, this version reads format {FORMAT}: "
                 "render it anew into another folder"
             )
         if _whole(line):

@@ -7,6 +7,7 @@ cannot settle is refused (`WORTHLESS`), which biases the choice of views and nev
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from pathfold import auto_exposure
 
 from ..scenes.faults import RejectedError
+from .store import Line
 
 BUDGET = 0.5  # core-seconds; more views with such references taught more than fewer clean ones (docs/results)
 ROUND = 32  # samples per pixel and half between two looks at clock and error
@@ -72,6 +74,17 @@ def _tensors(a: dict[str, Any], b: dict[str, Any]) -> Arrays:
     tensors |= {f"reference.half_{n}.color": channels_first(half["color"]) for n, half in (("a", a), ("b", b))}
     tensors["importance"] = importance(*(tensors[f"reference.half_{n}.color"] for n in "ab"))
     return tensors
+
+
+def window_halves(line: Line, tensor: Callable[[str], Any], number: int) -> tuple[NDArray[np.float32], ...]:
+    """The reference of window `number` of a view, [3, h, w], twice, of independent samples.
+
+    `line` is the view's, `tensor` gives its tensors by name; what is cut is read. Values that are not finite are 0.
+    """
+    top, left = line["crops"][number]
+    rows, columns = slice(top, top + line["crop"]), slice(left, left + line["crop"])
+    halves = (tensor(f"reference.half_{name}.color")[:, rows, columns] for name in "ab")
+    return tuple(np.nan_to_num(half, posinf=0.0) for half in halves)
 
 
 def half_error(a: NDArray[Any], b: NDArray[Any]) -> float:

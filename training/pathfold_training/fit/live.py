@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from typing import Any
 
+from ..dataset.clean import cleaned_window
 from ..dataset.render import procedural_task
 from ..dataset.store import Line
 from ..dataset.trace import render_view
@@ -66,5 +68,6 @@ class LiveViews:
             except RejectedError:
                 continue
             self.lines.append(line)
-            return Window(line, tensors.__getitem__, 0)
+            tensor = tensors.__getitem__
+            return Window(line, tensor, 0, partial(cleaned_window, line, tensor, 0))
         raise AssertionError  # count() does not end

@@ -83,6 +83,8 @@ def fit(
     source = data if isinstance(data, Live) else Stored(data)
     if isinstance(source, Stored):
         source.held_out()  # what it lacks is said before anything is written
+        if config.data.cleaned:
+            source.need_cleaned()
     if threads:
         torch.set_num_threads(threads)
     lightning.seed_everything(seed, verbose=False)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -17,9 +15,8 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from ..dataset import store
-from ..dataset.clean import cleaned
 from ..dataset.store import Line, Store
-from ..files import write_whole
+from ..dataset.truth import window_halves
 from ..networks.batch import Batch, Inputs
 from .frames import collate, frame_inputs
 
@@ -50,10 +47,30 @@ class Stored:
                 "'train'; render some 30 scenes with 'pathfold-train render'"
             )
         return [
-            Window(line, partial(self.store.tensor, line["id"]), n, store.cleaned_path(self.store.folder, line, n))
+            Window(line, partial(self.store.tensor, line["id"]), n, partial(self._cleaned, line, n))
             for line in lines
             for n in range(len(line["crops"]))
         ]
+
+    def _cleaned(self, line: Line, number: int) -> NDArray[np.float32]:
+        kept = store.read_cleaned(self.store.folder, line, number)
+        if kept is None:
+            raise self._lack(line)
+        return kept
+
+    def need_cleaned(self) -> None:
+        """Raises FileNotFoundError where a window to train on has no cleaned reference."""
+        for line in self.store.split("train"):
+            for number in range(len(line["crops"])):
+                if not store.cleaned_path(self.store.folder, line, number).is_file():
+                    raise self._lack(line)
+
+    def _lack(self, line: Line) -> FileNotFoundError:
+        folder = self.store.folder
+        return FileNotFoundError(
+            f"{folder} lacks the cleaned reference of {line['id']}, which the preset learns from; "
+            f"`pathfold-train dataset clean {folder}` makes what is missing"
+        )
 
     def __call__(self, step: int) -> list[Window]:
         return self.train
@@ -62,13 +79,20 @@ class Stored:
 class Window:
     """A window of a view that samples were kept of. `tensor` gives the view's tensors by name; what is cut is read.
 
-    `kept` is the file that its cleaned reference is kept in.
+    `read_cleaned` gives its cleaned reference.
     """
 
-    def __init__(self, line: Line, tensor: Callable[[str], Any], number: int, kept: Path | None = None) -> None:
-        self.tensor, self.number, self.scene, self.kept = tensor, number, str(line["scene"]), kept
+    def __init__(
+        self,
+        line: Line,
+        tensor: Callable[[str], Any],
+        number: int,
+        read_cleaned: Callable[[], NDArray[np.float32]],
+    ) -> None:
+        self.line, self.tensor, self.number, self.read_cleaned = line, tensor, number, read_cleaned
+        self.scene = str(line["scene"])
         self.samples: int = line["spp"]
-        self.described: int = line.get("described") or self.samples  # data sets kept all paths at first
+        self.described: int = line["described"]
         self.side = line["crop"]
         self.top, self.left = line["crops"][number]
         self.exposure, self.depth_scale = line["exposure"], line["depth_scale"]
@@ -79,35 +103,14 @@ class Window:
         whole = weight.astype(np.float64).ravel()
         return np.cumsum(whole / whole.sum())
 
-    def halves(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def halves(self) -> tuple[NDArray[np.float32], ...]:
         """The window's truth [3, H, W] twice, of independent samples."""
-        y, x = slice(self.top, self.top + self.side), slice(self.left, self.left + self.side)
-        a, b = (np.nan_to_num(self.tensor(f"reference.half_{name}.color")[:, y, x], posinf=0.0) for name in "ab")
-        return a, b
+        return window_halves(self.line, self.tensor, self.number)
 
     @cached_property
     def cleaned(self) -> Tensor:
-        """The window's reference [3, H, W] by clean.cleaned; takes a third of a second for 128 x 128 pixels.
-
-        It is kept beside the data set's files, and in memory.
-        """
-        if self.kept:
-            with suppress(OSError, EOFError, ValueError):  # one that is gone or damaged is made again
-                kept = np.load(self.kept)
-                if kept.shape == (3, self.side, self.side):
-                    return torch.from_numpy(kept)
-        a, b = self.halves()
-        albedo, normal = (
-            np.nan_to_num(self.tensor(f"samples.{name}")[self.number].astype(np.float32).mean(0), posinf=0.0)
-            for name in ("albedo", "normal")
-        )
-        result = cleaned(a, b, albedo, normal, self.exposure)
-        if self.kept:
-            content = io.BytesIO()
-            np.save(content, result)
-            with suppress(OSError):  # a data set that cannot be written to is cleaned by every run
-                write_whole(self.kept, content.getvalue())
-        return torch.from_numpy(result)
+        """The window's truth [3, H, W] without most of its noise, see dataset/clean.py."""
+        return torch.from_numpy(self.read_cleaned())
 
     @cached_property
     def albedo_sum(self) -> Tensor:
