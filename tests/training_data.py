@@ -1,11 +1,23 @@
-"""A tiny data set for the tests of training: smooth colours, exponential noise, made with a seed."""
+"""A tiny data set and preset for the tests of training: smooth colours, exponential noise, made with a seed."""
 
 from pathlib import Path
 
 import numpy as np
 from pathfold_training.dataset.store import append_line, write
+from pathfold_training.fit.preset import Config, Data, Optimiser
+from pathfold_training.networks.kpcn.sizes import KpcnSizes
+from pathfold_training.networks.losses import Loss
 
 SAMPLES, SIDE = 8, 40
+
+TINY = Config(
+    name="tiny",
+    description="a network for tests",
+    network=KpcnSizes(width=8, layers=3, kernel_size=5, embedding=3, embedding_width=4),
+    loss=Loss(manifold=0.0125, manifold_pairs=256),
+    data=Data(crop=24, batch=2, spp_max=4),
+    optimiser=Optimiser(steps=4, precision="fp32", warmup=1),
+)
 
 
 def write_data_set(folder: Path, views: int = 3) -> Path:
