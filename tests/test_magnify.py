@@ -10,7 +10,7 @@ import torch
 from pathfold_training.dataset.clean import clean
 from pathfold_training.fit.crops import Crops
 from pathfold_training.fit.frames import PATH_NAMES
-from pathfold_training.fit.magnify import Magnifier, turns, window
+from pathfold_training.fit.magnify import Magnifier, stored_side, turns
 from pathfold_training.fit.preset import Data
 from pathfold_training.fit.views import Stored, Window
 from training_data import SIDE, view_tensors, write_data_set
@@ -18,7 +18,7 @@ from training_data import SIDE, view_tensors, write_data_set
 
 def larger(factor: float, count: int, samples: int, paths: int = 2, size: int = 24, seed: int = 0) -> Magnifier:
     rng = np.random.default_rng(seed)
-    return Magnifier(size, window(size, factor), factor, count, paths, samples, min(samples, 16), rng)
+    return Magnifier(size, stored_side(size, factor), factor, count, paths, samples, min(samples, 16), rng)
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.7, 4.0])

@@ -42,7 +42,7 @@ class Axis:
         return torch.from_numpy(out)
 
 
-def window(size: int, factor: float) -> int:
+def stored_side(size: int, factor: float) -> int:
     """The stored pixels along a side that a magnified crop of `size` needs at least."""
     return int(np.ceil((size - 1) / factor)) + 2
 
