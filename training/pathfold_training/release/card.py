@@ -11,7 +11,7 @@ from pathfold.bench.results import geometric, read
 
 from ..files import read_object
 
-OPERATORS = {"gather": "both branches, plus the {size}x{size} gather", "pyramid": "plus the gather pyramid"}
+OPERATORS = {"gather": "plus the {size}x{size} gather", "pyramid": "plus the gather pyramid"}
 PEERS = ("noisy", "oidn", "oidn-prefiltered")
 
 
@@ -29,7 +29,10 @@ def model_card(manifest: dict[str, Any], errors: str = "") -> str:
     seconds = [training["seconds"], training["cpu_seconds"]]
     if start:
         seconds = [seconds[0] + start["seconds"], seconds[1] + start["cpu_seconds"]]
-    operator = OPERATORS[manifest["reconstruction"]["operator"]].format(**manifest["reconstruction"])
+    reconstruction = manifest["reconstruction"]
+    several = len(reconstruction["branches"]) > 1
+    operator = "both branches, " if several else ""
+    operator += OPERATORS[reconstruction["operator"]].format(**reconstruction)
     embedded = manifest["samples_per_pixel"].get("embedded")
     paths = f"; the paths of the first {embedded} are looked at" if embedded else ""
     cost = f"{training['kmac_per_pixel']:.0f} kMAC per pixel at 8 spp, {operator}"
@@ -41,7 +44,7 @@ def model_card(manifest: dict[str, Any], errors: str = "") -> str:
         precision += f"; {variant} with {block['rell2_over_fp32']:.4g} times the RelL2 on held-out views"
     loss = config["loss"]
     weights = f"{loss.get('image', 'robust')} relative error of the image"
-    weights += f", {loss['branch']:g} on each branch" if len(manifest["reconstruction"]["branches"]) > 1 else ""
+    weights += f", {loss['branch']:g} on each branch" if several else ""
     names = {"energy": "means of 16x16 blocks", "albedo": "the cleaned albedo"}
     weights += "".join(f", {loss[name]:g} on {what}" for name, what in names.items() if loss.get(name))
     weights += f", manifold lambda {loss['manifold']:g}"
