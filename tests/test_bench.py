@@ -21,7 +21,7 @@ from pathfold.bench.about import command
 from pathfold.bench.reference import Reference
 from pathfold.bench.run import Job, _events
 from pathfold.bench.timing import in_turns
-from pathfold.plan import curves as planned
+from pathfold.plan import curves
 
 TINY = Path(__file__).parent / "assets" / "library" / "tiny"
 
@@ -137,7 +137,7 @@ def test_a_scene_is_measured_and_what_is_measured_is_kept(run, tmp_path: Path) -
     data = {"results.jsonl", "about.json", "curves.json", "references"}
     assert names == data | {"table.md", "index.html", "plots", "pictures"}
     assert {path.name for path in (out / "plots").iterdir()} == {"tiny.png", "tiny.svg"}
-    planned_from = planned.read(out / "curves.json")
+    planned_from = curves.read(out / "curves.json")
     assert {(s.spp, s.method) for s in planned_from} == {(r["spp"], r["method"]) for r in first}
     page = (out / "index.html").read_text()
     assert "http://www.w3.org/2000/svg" in page  # the only address, a name that nothing is fetched from

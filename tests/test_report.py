@@ -5,19 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("jinja2")
-pytest.importorskip("matplotlib")
-pytest.importorskip("flip_evaluator")
-pytest.importorskip("skimage")
-pytest.importorskip("pyoidn")
-
 from pathfold.bench import results
 from pathfold.bench.measurement import Measurement
 from pathfold.images import ImageError
-from pathfold.report import answers, curves, tables, versus
-
-TINY = Path(__file__).parent / "assets" / "library" / "tiny"
+from pathfold.report import answers, pareto, tables, versus
 
 
 def measurement(method: str, spp: int, seconds: float, error: float, scene: str = "a", seed: int = 0) -> Measurement:
@@ -39,8 +30,8 @@ def of(measured: list[Measurement], method: str) -> list[results.Point]:
 
 def test_between_measured_points_curves_are_straight_in_log_log(measured: list[Measurement]) -> None:
     noisy = of(measured, "noisy")
-    assert curves.error_at(noisy, math.sqrt(0.5)) == curves.Reached(pytest.approx(1 / math.sqrt(8)))
-    assert curves.time_to(noisy, 1 / 6) == curves.Reached(pytest.approx(6 / 4))
+    assert pareto.error_at(noisy, math.sqrt(0.5)) == pareto.Reached(pytest.approx(1 / math.sqrt(8)))
+    assert pareto.time_to(noisy, 1 / 6) == pareto.Reached(pytest.approx(6 / 4))
 
 
 def test_a_model_is_told_against_a_peer_at_the_same_spp_and_time(measured: list[Measurement]) -> None:
@@ -64,10 +55,10 @@ def test_a_model_is_told_against_a_peer_at_the_same_spp_and_time(measured: list[
 
 def test_nothing_is_extrapolated(measured: list[Measurement]) -> None:
     noisy = of(measured, "noisy")
-    assert curves.error_at(noisy, 0.2) is None  # before the first point
-    assert curves.error_at(noisy, 100) == curves.Reached(pytest.approx(1 / 32), bound=True)  # it had this by then
-    assert curves.time_to(noisy, 0.001) is None
-    assert curves.time_to(noisy, 2) == curves.Reached(pytest.approx(0.25), bound=True)
+    assert pareto.error_at(noisy, 0.2) is None  # before the first point
+    assert pareto.error_at(noisy, 100) == pareto.Reached(pytest.approx(1 / 32), bound=True)  # it had this by then
+    assert pareto.time_to(noisy, 0.001) is None
+    assert pareto.time_to(noisy, 2) == pareto.Reached(pytest.approx(0.25), bound=True)
     text = " ".join(answers.paying({m: of(measured, m) for m in ("noisy", "clean")}).sentences)
     assert "at 32 spp the noisy curve would have to be extrapolated" in text
     # 1 spp of clean takes 1.25 s, in which noisy reaches 5 spp: 0.2 against 0.1
@@ -103,7 +94,7 @@ def test_what_is_better_from_its_first_point_on_wins_by_at_least_so_much(measure
 
 
 def test_the_front_holds_what_nothing_beats(measured: list[Measurement]) -> None:
-    front = curves.pareto(results.points([*measured, measurement("worse", 1, 9, 9)]))
+    front = pareto.pareto(results.points([*measured, measurement("worse", 1, 9, 9)]))
     assert [(p.method, p.spp) for p in front[:5]] == [("noisy", n) for n in (1, 2, 4)] + [("clean", n) for n in (1, 2)]
     assert all(p.method == "clean" for p in front[3:])
 

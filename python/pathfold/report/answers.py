@@ -9,7 +9,7 @@ from math import ceil, floor, log10
 
 from pathfold.bench.candidates import NOISY
 from pathfold.bench.results import Point, names
-from pathfold.report.curves import Reached, best_within, error_at, time_to, timed
+from pathfold.report.pareto import Reached, best_within, error_at, time_to, timed
 
 MOST = 4  # budgets or targets in a table
 BEYOND = "\N{EM DASH}"  # not measured there; it would have to be extrapolated

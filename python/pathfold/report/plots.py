@@ -7,7 +7,7 @@ from typing import Any
 
 from pathfold.bench.results import ALL, FLAG, FLOOR, Point, names
 from pathfold.images import replacing
-from pathfold.report.curves import pareto, timed
+from pathfold.report.pareto import pareto, timed
 
 COLUMN = 3.5  # inches: one column of a two-column page
 # Okabe and Ito's colours, told apart by the colour-blind, without yellow, too light on paper, and with Tol's wine.

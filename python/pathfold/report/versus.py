@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathfold.bench.candidates import NOISY, PEERS
 from pathfold.bench.measurement import Measurement
 from pathfold.bench.results import Point, geometric, names, points
-from pathfold.report.curves import Reached, error_at, timed
+from pathfold.report.pareto import Reached, error_at, timed
 from pathfold.report.tables import Table
 
 METRICS = {"rell2": "RelL2", "flip": "FLIP"}
