@@ -57,7 +57,7 @@ class Findings:
         folder.mkdir(parents=True, exist_ok=True)
         old = json.loads(self._path.read_text(encoding="utf-8")) if self._path.exists() else {}
         self._kept: list[Row] = old.get("rows", [])
-        self._date: str = old.get("date", "")
+        self._made = {name: old.get(name, "") for name in ("date", "machine")}
         self._models = {c.name: c.identity for c in candidates if is_model(c.name)}
         self.rows: list[Row] = []  # of this run
         self.fresh = False  # whether one was measured in this run
@@ -69,7 +69,7 @@ class Findings:
         if row is None:
             row = known | rounded(measure())
             self._kept.append(row)
-            self._date, self.fresh = datetime.now(UTC).date().isoformat(), True
+            self._made, self.fresh = {"date": datetime.now(UTC).date().isoformat(), "machine": machine()}, True
             self._write(self._kept)
         self.rows.append(row)
         return row
@@ -82,7 +82,7 @@ class Findings:
         print(self._page.tables(self.rows))
 
     def _write(self, rows: Sequence[Row]) -> Mapping[str, Any]:
-        data = {"command": command(sys.argv), "date": self._date, "machine": machine(), "models": self._models}
+        data = {"command": command(sys.argv), **self._made, "models": self._models}
         lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in data.items()]
         lines.append('"rows": [\n' + ",\n".join(json.dumps(row) for row in rows) + "\n]")
         with replacing(self._path) as unfinished:
