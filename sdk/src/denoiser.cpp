@@ -18,16 +18,11 @@ constexpr int64_t default_window_pixels = 640 * 1024;  // 544 x 960 and its over
 constexpr int64_t pyramid_window_pixels = 1280 * 1024; // its network is lighter and its overlap larger
 constexpr int64_t cleaner_floats = 14; // a pixel: the factor's pyramid, filtered and cleaned factor
 
-int64_t square(int64_t value) { return value * value; }
-
-/// Pixels from one entry of an output to the next: 4 for "H/4".
-int step_of(const Dim &dim) { return dim.name.size() > 2 ? std::stoi(dim.name.substr(2)) : 1; }
-
 /// Pixels that a tile's window may have.
 int64_t window_pixels(const Settings &settings, const Manifest &manifest, int64_t input_floats) {
     int64_t logits_floats = 0;
     for (const auto &[name, shape] : manifest.outputs())
-        logits_floats += (shape[1].size + square(step_of(shape[2])) - 1) / square(step_of(shape[2]));
+        logits_floats += floats_per_pixel(shape, 1);
     const int64_t logits_bytes = logits_floats * int64_t(sizeof(float));
     if (std::any_of(manifest.branches.begin(), manifest.branches.end(),
                     [](const Branch &b) { return b.clean; }))
@@ -285,14 +280,10 @@ void Denoiser::Run::predict(const Tile &tile, int branch) {
     std::vector<Tensor> outputs;
     size_t total = 0;
     for (const auto &[name, shape] : model_.graph(active.graph).outputs) {
-        Tensor tensor{name, {}, nullptr};
+        Tensor tensor{name, sizes_of(shape, tile.window, 1), nullptr};
         size_t count = 1;
-        for (const Dim &dim : shape) {
-            const int edge = dim.name[0] == 'H' ? tile.window.height : tile.window.width, step = step_of(dim);
-            const int rounded = step > 1 ? Pyramid::rounded_up(edge) / step : edge;
-            tensor.shape.push_back(dim.size >= 0 ? dim.size : rounded);
-            count *= size_t(tensor.shape.back());
-        }
+        for (int64_t size : tensor.shape)
+            count *= size_t(size);
         offsets_[name] = total;
         outputs.push_back(std::move(tensor));
         total += count;

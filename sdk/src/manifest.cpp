@@ -2,168 +2,28 @@
 
 #include <algorithm>
 #include <cctype>
-#include <cmath>
 #include <set>
-
-#include <nlohmann/json.hpp>
 
 #include "buffers.h"
 #include "embedding.h"
 #include "error.h"
+#include "fields.h"
 #include "pyramid.h"
 
 namespace pathfold::core {
 namespace {
 
-using Json = nlohmann::json;
-
-constexpr size_t max_bytes = 1 << 20;
-constexpr int max_depth = 32;
 constexpr int format_version = 1;
 constexpr int max_kernel = 63;
 constexpr int64_t max_embedding = 64; // their sums are held for the whole frame
 constexpr double max_error = 1.02;    // of a variant's RelL2 over that of the graphs that it stands in for
-
-/// A JSON value with the path that leads to it, so that every complaint names its key.
-class Field {
-public:
-    Field(const Json &value, std::string path) : value_(value), path_(std::move(path)) {}
-
-    template <typename... Parts>
-    [[noreturn]] void wrong(const Parts &...must) const {
-        std::string given = value_.dump();
-        if (given.size() > 60)
-            given = given.substr(0, 60) + "...";
-        fail(PATHFOLD_INVALID_MODEL, "manifest.json: ", path_, " is ", given, "; it must be ", must...);
-    }
-
-    /// The object's keys must be among `known`.
-    const Field &keys(const std::set<std::string> &known) const {
-        if (!value_.is_object())
-            wrong("an object with the keys ", list(known));
-        for (const auto &[key, unused] : value_.items())
-            if (known.count(key) == 0)
-                fail(PATHFOLD_INVALID_MODEL, "manifest.json: unknown key ", child(key),
-                     "; known keys there: ", list(known));
-        return *this;
-    }
-
-    bool has(const char *key) const { return value_.is_object() && value_.contains(key); }
-
-    Field at(const std::string &key) const {
-        if (!value_.is_object())
-            wrong("an object");
-        const auto found = value_.find(key);
-        if (found == value_.end())
-            fail(PATHFOLD_INVALID_MODEL, "manifest.json: ", child(key), " is missing");
-        return {*found, child(key)};
-    }
-
-    std::vector<std::pair<std::string, Field>> members() const {
-        if (!value_.is_object() || value_.empty())
-            wrong("an object that is not empty");
-        std::vector<std::pair<std::string, Field>> fields;
-        for (const auto &[key, value] : value_.items())
-            fields.emplace_back(key, Field(value, child(key)));
-        return fields;
-    }
-
-    std::vector<Field> items() const {
-        if (!value_.is_array())
-            wrong("an array");
-        std::vector<Field> fields;
-        for (size_t i = 0; i < value_.size(); ++i)
-            fields.emplace_back(value_[i], text(path_, "[", i, "]"));
-        return fields;
-    }
-
-    std::string string() const {
-        if (!value_.is_string())
-            wrong("a string");
-        return value_.get<std::string>();
-    }
-
-    bool boolean() const {
-        if (!value_.is_boolean())
-            wrong("true or false");
-        return value_.get<bool>();
-    }
-
-    int64_t integer(int64_t least, int64_t most) const {
-        // JSON has one kind of number: 8.0 is an integer.
-        const double value = value_.is_number() ? value_.get<double>() : 0.5;
-        if (value != std::floor(value) || value < double(least) || value > double(most))
-            wrong("an integer from ", least, " to ", most);
-        return int64_t(value);
-    }
-
-    double number(double least, double most) const {
-        if (!value_.is_number() || !(value_.get<double>() >= least) || !(value_.get<double>() <= most))
-            wrong("a number from ", least, " to ", most);
-        return value_.get<double>();
-    }
-
-    std::string one_of(const std::set<std::string> &choices) const {
-        const std::string given = string();
-        if (choices.count(given) == 0)
-            wrong("one of ", list(choices));
-        return given;
-    }
-
-    bool is_string() const { return value_.is_string(); }
-
-private:
-    std::string child(const std::string &key) const { return path_.empty() ? key : path_ + "." + key; }
-
-    const Json &value_;
-    std::string path_;
-};
-
-/// Text from elsewhere ends up on terminals, so none of it may steer one. UTF-8: C1 is 0xC2 0x80 to 0xC2
-/// 0x9F.
-void refuse_controls(const std::string &text) {
-    for (size_t i = 0; i < text.size(); ++i) {
-        const auto byte = static_cast<unsigned char>(text[i]);
-        const unsigned char next = i + 1 < text.size() ? static_cast<unsigned char>(text[i + 1]) : 0;
-        if (byte < 0x20 || byte == 0x7f || (byte == 0xc2 && next >= 0x80 && next < 0xa0))
-            fail(PATHFOLD_INVALID_MODEL, "manifest.json: a string holds the control character with the code ",
-                 int(byte == 0xc2 ? next : byte), "; write it without");
-    }
-}
-
-void refuse_controls(const Json &value) {
-    if (value.is_string())
-        refuse_controls(value.get_ref<const std::string &>());
-    if (!value.is_structured())
-        return;
-    for (const auto &[key, child] : value.items()) {
-        refuse_controls(key); // an array's keys are its indices
-        refuse_controls(child);
-    }
-}
-
-Json parse_json(const std::string &text) {
-    if (text.size() > max_bytes)
-        fail(PATHFOLD_INVALID_MODEL, "manifest.json has ", text.size(), " bytes; at most ", max_bytes,
-             " are read");
-    const auto shallow = [](int depth, Json::parse_event_t, Json &) {
-        if (depth > max_depth)
-            fail(PATHFOLD_INVALID_MODEL, "manifest.json nests deeper than ", max_depth, " levels");
-        return true;
-    };
-    try {
-        return Json::parse(text, shallow);
-    } catch (const Json::exception &error) {
-        fail(PATHFOLD_INVALID_MODEL, "manifest.json is not JSON: ", error.what());
-    }
-}
 
 Shape read_shape(const Field &field) {
     Shape shape;
     for (const Field &axis : field.items()) {
         Dim dim;
         if (axis.is_string())
-            dim.name = axis.one_of({"H", "W", "S", "H/2", "W/2", "H/4", "W/4", "H/8", "W/8", "H/16", "W/16"});
+            dim.name = axis.one_of({dim_names().begin(), dim_names().end()});
         else
             dim.size = axis.integer(1, 1 << 20);
         shape.push_back(dim);
@@ -172,8 +32,7 @@ Shape read_shape(const Field &field) {
 }
 
 void expect_shape(const Field &field, const Shape &shape, const Shape &right) {
-    const auto same = [](const Dim &a, const Dim &b) { return a.size == b.size && a.name == b.name; };
-    if (shape.size() != right.size() || !std::equal(shape.begin(), shape.end(), right.begin(), same))
+    if (!(shape == right))
         field.wrong(shape_text(right));
 }
 
@@ -357,13 +216,6 @@ void check_references(const Manifest &manifest) {
 
 } // namespace
 
-std::string shape_text(const Shape &shape) {
-    std::string joined;
-    for (const Dim &dim : shape)
-        joined += (joined.empty() ? "" : ", ") + (dim.size >= 0 ? std::to_string(dim.size) : dim.name);
-    return "[" + joined + "]";
-}
-
 Shape input_shape(const std::string &name) {
     const Dim one{1, ""}, height{-1, "H"}, width{-1, "W"}, samples{-1, "S"};
     if (name == "exposure" || name == "depth_scale")
@@ -421,8 +273,7 @@ bool Manifest::reads(const std::string &buffer) const {
 }
 
 Manifest Manifest::parse(const std::string &text) {
-    const Json json = parse_json(text);
-    refuse_controls(json);
+    const nlohmann::json json = read_json(text);
     const Field root(json, "");
     if (!json.is_object())
         fail(PATHFOLD_INVALID_MODEL, "manifest.json must hold one object");

@@ -5,18 +5,9 @@
 #include <string>
 #include <vector>
 
+#include "shape.h"
+
 namespace pathfold::core {
-
-/// One axis of a tensor: a size, or a name ("H", "W", "S") where size is -1. "H/4" is a quarter of H rounded
-/// up to a multiple of 16.
-struct Dim {
-    int64_t size = -1;
-    std::string name;
-};
-using Shape = std::vector<Dim>;
-
-/// "[1, 3, H, W]".
-std::string shape_text(const Shape &shape);
 
 /// A network: its file and what it says of its own inputs and outputs.
 struct Graph {
