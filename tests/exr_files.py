@@ -51,8 +51,8 @@ def beauty(path: Path, seed: int = 0, extra: int = 3) -> Path:
     return write(path, [part("", names, ["half"] * len(names), values, artist="nobody")])
 
 
-def with_samples(path: Path, count: int = 2) -> Path:
-    """A picture of our own with split buffers and path descriptors."""
+def with_samples(path: Path, count: int = 2, specular: float = 1) -> Path:
+    """A picture of our own with split buffers and path descriptors; `specular` scales that radiance."""
     rng = np.random.default_rng(7)
     block = {
         "descriptor": rng.normal(0, 1, (count, SIZE[1], SIZE[0], 36)).astype(np.float16),
@@ -60,6 +60,7 @@ def with_samples(path: Path, count: int = 2) -> Path:
     }
     names = [*RGB, *(f"{layer}.{c}" for layer in ("diffuse", "specular", "diffuse.albedo") for c in RGB)]
     values = noise(12)
+    values[..., 6:9] *= specular
     values[..., :3] = values[..., 3:6] + values[..., 6:9]
     buffers = NewPart("buffers", names, ["float"] * 12, SIZE, lambda first, last: values[first:last])
     write_parts(path, [buffers, samples.to_part(block)], {"pathfold:version": "0", "pathfold:spp": count})

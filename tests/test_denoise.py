@@ -177,11 +177,12 @@ def test_exposure_is_reported_and_can_be_given(tiny: Path) -> None:
 def test_what_is_left_out_can_be_chosen(tiny: Path) -> None:
     frame = split_frame() | {"specular": np.zeros((H, W, 3), np.float32)}
     frame["color"] = frame["diffuse"]
-    results = {names: pathfold.Denoiser("split-5", leave_out=names).run(**frame) for names in ("all", "none", "inputs")}
+    results = {names: pathfold.Denoiser("split-5", leave_out=names).run(**frame) for names in ("all", "none", "tiles")}
     for result in results.values():
         assert result.color == pytest.approx(results["none"].color, rel=1e-5)
     said = {names: [line["what"] for line in result.report["left_out"]] for names, result in results.items()}
-    assert said == {"all": ["branch specular", "input color"], "none": [], "inputs": ["input color"]}
+    assert said == {"all": ["branch specular"], "none": [], "tiles": []}
+    assert results["all"].report["inputs"]["unused"] == ["color"]
     with pytest.raises(
         pathfold.PathfoldError, match='leave_out is "pixels"; it must be all, none, or some of branches'
     ):

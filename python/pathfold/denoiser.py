@@ -56,8 +56,8 @@ class Denoiser:
     `precision` of the networks: "fp32", "int8" where the model has it, or "auto", the faster one (int8 where the model
     has it, on CPUs that multiply bytes: VNNI, ARM's dot product); what ran is `report["precision"]`.
     `memory_mb` bounds the working memory of a tile (0: chosen), `tile` forces the tile's side in pixels (0: planned).
-    `leave_out` says what is not computed where a frame does not need it: "all" (every exact one: "branches", "tiles",
-    "inputs"), "none", or names with commas between; approximate and by name only: "converged" ("all,converged"), tiles
+    `leave_out` says what is not computed where a frame does not need it: "all" (every exact one: "branches",
+    "tiles"), "none", or names with commas between; approximate and by name only: "converged" ("all,converged"), tiles
     of at least 16 samples and known variance whose expected RelL2 is at most 1e-4 already; "paths": the samples, where
     the frame has as many as the model's manifest says it does as well without.
     Raises PathfoldError, whose `code` says what kind of fault it is.

@@ -1,5 +1,3 @@
-#include <cmath>
-#include <limits>
 #include <memory>
 #include <new>
 #include <string>
@@ -64,31 +62,6 @@ Pointer &given(Pointer *argument, const char *name) {
 std::string given_text(const char *argument, const char *name) {
     given(argument, name);
     return argument;
-}
-
-/// A number that must be whole, from 0 to `most`.
-int64_t whole_number(const std::string &name, double value, int64_t most) {
-    if (!(value >= 0 && value <= double(most) && value == std::floor(value)))
-        fail(PATHFOLD_INVALID_ARGUMENT, name, " is ", value, "; it must be an integer from 0 to ", most);
-    return int64_t(value);
-}
-
-void set_number(Settings &settings, const std::string &name, double value) {
-    if (name == "exposure") {
-        if (!(value >= 0 && value <= std::numeric_limits<float>::max()))
-            fail(PATHFOLD_INVALID_ARGUMENT, "exposure is ", value,
-                 "; it must be finite and > 0, or 0 to take it from the image");
-        settings.exposure = float(value);
-    } else if (name == "memory_mb") {
-        settings.memory_mb = whole_number(name, value, 1 << 20);
-    } else if (name == "tile") {
-        settings.tile = int(whole_number(name, value, 1 << 16));
-    } else if (name == "samples_per_pixel") {
-        settings.samples_per_pixel = whole_number(name, value, 1 << 30);
-    } else {
-        fail(PATHFOLD_INVALID_ARGUMENT, "there is no setting named \"", name,
-             "\"; settings are: exposure, memory_mb, tile, samples_per_pixel");
-    }
 }
 
 void gather_image(const ImageView &view, const float *logits, int radius, const ImageView &result) {
@@ -227,7 +200,10 @@ pathfold_status pathfold_denoiser_set_layer_output(pathfold_denoiser *denoiser, 
 }
 
 int pathfold_denoiser_is_split(const pathfold_denoiser *denoiser) {
-    return denoiser != nullptr && denoiser->frame.split(denoiser->denoiser.model().manifest()) ? 1 : 0;
+    if (denoiser == nullptr)
+        return 0;
+    const Manifest &manifest = denoiser->denoiser.model().manifest();
+    return decide_reads(denoiser->frame, manifest, denoiser->settings).split ? 1 : 0;
 }
 
 void pathfold_denoiser_clear(pathfold_denoiser *denoiser) {
@@ -236,8 +212,7 @@ void pathfold_denoiser_clear(pathfold_denoiser *denoiser) {
 }
 
 pathfold_status pathfold_denoiser_set_number(pathfold_denoiser *denoiser, const char *name, double value) {
-    return guarded(
-        [&] { set_number(given(denoiser, "denoiser").settings, given_text(name, "name"), value); });
+    return guarded([&] { given(denoiser, "denoiser").settings.set_number(given_text(name, "name"), value); });
 }
 
 pathfold_status pathfold_denoiser_set_leave_out(pathfold_denoiser *denoiser, const char *names) {

@@ -35,10 +35,6 @@ int64_t window_pixels(const Settings &settings, const Manifest &manifest, int64_
     return settings.memory_mb * mebibyte / (logits_bytes + 2 * input_bytes);
 }
 
-int64_t samples_per_pixel(const Frame &frame, const Settings &settings) {
-    return std::max(settings.samples_per_pixel, frame.samples());
-}
-
 /// How many of what is predicted at half resolution belong to the finest level.
 size_t finest_logits(const Rect &window) {
     return size_t(PyramidLogits::channels) * Pyramid::rounded_up(window.height) *
@@ -50,17 +46,13 @@ size_t finest_logits(const Rect &window) {
 /// One frame on its way through the stages.
 class Denoiser::Run {
 public:
-    Run(Denoiser &denoiser, const Frame &frame, const Settings &settings, bool without_paths)
-        : denoiser_(denoiser), frame_(frame), settings_(settings), model_(*denoiser.model_),
+    Run(Denoiser &denoiser, const Frame &frame, const Reads &reads, const Settings &settings)
+        : denoiser_(denoiser), frame_(frame), reads_(reads), settings_(settings), model_(*denoiser.model_),
           manifest_(model_.manifest()), threads_(denoiser.threads_),
-          prepared_(prepare(frame, manifest_, settings.exposure, threads_)),
-          packer_(frame, prepared_, model_, threads_, denoiser.tensors_, samples_per_pixel(frame, settings)),
-          results_(prepared_.signals.size()), work_(prepared_.branches.size()),
-          left_out_(prepared_.branches.size()) {
-        if (!leaves_out("inputs"))
-            for (const std::string &name : unread_buffers(frame, manifest_, prepared_.split))
-                read_unneeded(frame.input(name), threads_);
-        if (without_paths)
+          prepared_(prepare(frame, reads, settings.exposure, manifest_.exposure_key, threads_)),
+          packer_(frame, reads, prepared_, model_, threads_, denoiser.tensors_),
+          results_(prepared_.signals.size()), work_(reads.branches.size()), left_out_(reads.branches.size()) {
+        if (reads.without_paths)
             report_.left_out.push_back(
                 {"paths",
                  text("approximately: from ", manifest_.without_paths,
@@ -69,7 +61,6 @@ public:
         else if (leaves_out("paths") && frame.has("samples.descriptor") && manifest_.without_paths == 0)
             report_.notes.push_back("paths are not left out: the model's manifest does not say from how many "
                                     "samples per pixel on it does as well without");
-        report_.samples = samples_per_pixel(frame, settings);
         report_.times.prepare = watch_.lap();
     }
 
@@ -79,7 +70,7 @@ public:
             denoise(tiles_[i], i);
         tell_progress(1);
         finish_report();
-        return report_.json(frame_, model_, prepared_);
+        return report_.json(frame_, reads_, model_, prepared_);
     }
 
 private:
@@ -92,7 +83,7 @@ private:
     };
 
     void plan();
-    bool leaves_out(const char *what) const { return settings_.leave_out.count(what) > 0; }
+    bool leaves_out(const char *what) const { return settings_.leaves_out(what); }
     std::vector<std::string> find_needs(const Tile &tile) const;
     void denoise(const Tile &tile, size_t index);
     void embed();
@@ -122,6 +113,7 @@ private:
 
     Denoiser &denoiser_;
     const Frame &frame_;
+    const Reads &reads_;
     const Settings &settings_;
     const Model &model_;
     const Manifest &manifest_;
@@ -183,7 +175,7 @@ std::vector<std::string> Denoiser::Run::find_needs(const Tile &tile) const {
         else if (idle[i] && leaves_out("branches"))
             causes[i] = "branches";
     if (leaves_out("converged") && std::count(causes.begin(), causes.end(), "") > 0 &&
-        is_converged(frame_, prepared_, tile.core, report_.samples))
+        is_converged(frame_, reads_, prepared_, tile.core))
         std::replace(causes.begin(), causes.end(), std::string(), std::string("converged"));
     return causes;
 }
@@ -225,10 +217,10 @@ void Denoiser::Run::embed() {
     const int width = frame_.width(), height = frame_.height();
     embedding.reset(manifest_.embedding_channels, height, width);
     embedded_ = true;
-    if (!frame_.has("samples.descriptor"))
+    if (!reads_.has("samples.descriptor"))
         return;
     const Session &session = model_.session("embedding");
-    const int64_t spp = std::min(frame_.samples(), manifest_.embedded_samples),
+    const int64_t spp = std::min(reads_.samples, manifest_.embedded_samples),
                   most = part * std::min(model_.threads(), 16);
     const int step = Embedding::alignment;
     const int rows = int(std::max<int64_t>(1, most / (width * spp * step))) * step;
@@ -276,7 +268,7 @@ void Denoiser::Run::filter(const Tile &tile, int branch) {
 
 void Denoiser::Run::predict(const Tile &tile, int branch) {
     const std::vector<Tensor> inputs = packer_.inputs(branch);
-    const Branch &active = *prepared_.branches[size_t(branch)].branch;
+    const Branch &active = *reads_.branches[size_t(branch)].branch;
     std::vector<Tensor> outputs;
     size_t total = 0;
     for (const auto &[name, shape] : model_.graph(active.graph).outputs) {
@@ -301,7 +293,7 @@ void Denoiser::Run::predict(const Tile &tile, int branch) {
 template <typename Row>
 void Denoiser::Run::copy_row(int branch, int x, int y, int width, const Rect &window, const Row &row) const {
     const bool clean = cleaned_.channels() > 0;
-    const Planes &factor = clean ? cleaned_ : prepared_.branches[size_t(branch)].factor;
+    const Planes &factor = clean ? cleaned_ : prepared_.factors[size_t(branch)];
     const int from_x = clean ? x - window.x : x, from_y = clean ? y - window.y : y;
     int plane = 0;
     for (const Signal &signal : prepared_.signals) {
@@ -334,11 +326,10 @@ void Denoiser::Run::fill_pyramid(const Tile &tile, int branch, int planes) {
 
 /// The branch's factor for the window, filtered by the pyramid `cleaning`, which has no trust.
 void Denoiser::Run::clean_factor(const Tile &tile, int branch) {
-    const ActiveBranch &active = prepared_.branches[size_t(branch)];
-    const Planes &factor = active.factor;
+    const Planes &factor = prepared_.factors[size_t(branch)];
     const int planes = factor.channels(), width = tile.window.width, height = tile.window.height;
     cleaned_ = Planes();
-    if (!active.branch->clean || planes == 0)
+    if (!reads_.branches[size_t(branch)].branch->clean || planes == 0)
         return;
     Pyramid &source = denoiser_.cleaner_;
     const Rect &window = tile.window;
@@ -406,7 +397,7 @@ void Denoiser::Run::set_results(const Tile &tile, int branch, const Fill &fill) 
 
 void Denoiser::Run::take_results(const Tile &tile, int branch) {
     const bool clean = cleaned_.channels() > 0;
-    const Planes &factor = clean ? cleaned_ : prepared_.branches[size_t(branch)].factor;
+    const Planes &factor = clean ? cleaned_ : prepared_.factors[size_t(branch)];
     const float *from = gathered_.data();
     set_results(tile, branch, [&](const Signal &signal, int c, int y, float *to) {
         std::copy_n(from, tile.core.width, to);
@@ -439,7 +430,7 @@ void Denoiser::Run::write(const Tile &tile) {
         std::vector<size_t> signals = signals_of(name);
         if (name == "color") {
             signals.clear();
-            for (size_t i = 0; i < prepared_.branches.size(); ++i)
+            for (size_t i = 0; i < reads_.branches.size(); ++i)
                 signals.push_back(i);
         }
         write(tile, view, signals);
@@ -493,7 +484,7 @@ std::string Denoiser::Run::tiles_text(size_t tiles) const {
 
 void Denoiser::Run::report_branches() {
     for (size_t i = 0; i < work_.size(); ++i) {
-        const ActiveBranch &active = prepared_.branches[i];
+        const ActiveBranch &active = reads_.branches[i];
         const Work &idle = left_out_[i]["branches"];
         if (work_[i].tiles > 0)
             report_.branches.push_back(active.branch->name);
@@ -522,11 +513,7 @@ void Denoiser::Run::report_inputs() {
     const auto saved = [&](const ImageView &view, int channels) {
         return value_ms * double(view.samples()) * channels * frame_.width() * frame_.height();
     };
-    for (const std::string &name : unread_buffers(frame_, manifest_, prepared_.split))
-        if (const ImageView &view = frame_.input(name); leaves_out("inputs"))
-            report_.left_out.push_back(
-                {"input " + name, "not read by the model for this frame", saved(view, view.channels())});
-    if (!frame_.has("samples.descriptor") || !manifest_.reads("samples.descriptor"))
+    if (!reads_.has("samples.descriptor"))
         return;
     const ImageView &view = frame_.input("samples.descriptor");
     if (const int64_t most = manifest_.embedded_samples; most < view.samples())
@@ -544,7 +531,7 @@ void Denoiser::Run::finish_report() {
     report_tiles("converged",
                  text("approximately: their expected RelL2 is at most ", converged_error, " already"));
     report_inputs();
-    const int64_t samples = report_.samples;
+    const int64_t samples = reads_.samples_behind;
     if (samples > 0 && (samples < manifest_.min_samples || samples > manifest_.max_samples))
         report_.notes.push_back(text(samples, " samples per pixel; the model was trained on ",
                                      manifest_.min_samples, " to ", manifest_.max_samples));
@@ -556,13 +543,10 @@ Denoiser::Denoiser(std::shared_ptr<const Model> model)
     : model_(std::move(model)), threads_(model_->threads()) {}
 
 std::string Denoiser::run(const Frame &frame, const Settings &settings) {
-    frame.check(model_->manifest());
-    const int64_t samples = samples_per_pixel(frame, settings);
-    if (settings.leave_out.count("paths") == 0 || !does_without_paths(frame, model_->manifest(), samples))
-        return Run(*this, frame, settings, false).go();
-    Settings known = settings;
-    known.samples_per_pixel = samples;
-    return Run(*this, frame.without_samples(), known, true).go();
+    frame.check();
+    const Reads reads = decide_reads(frame, model_->manifest(), settings);
+    check_reads(frame, model_->manifest(), reads);
+    return Run(*this, frame, reads, settings).go();
 }
 
 } // namespace pathfold::core

@@ -1,7 +1,5 @@
 #pragma once
 
-#include <functional>
-#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -13,18 +11,9 @@
 #include "pyramid.h"
 #include "reconstruct.h"
 #include "report.h"
+#include "settings.h"
 
 namespace pathfold::core {
-
-/// What a caller may choose; 0 means chosen for him.
-struct Settings {
-    float exposure = 0;
-    int64_t memory_mb = 0;
-    int tile = 0;
-    int64_t samples_per_pixel = 0; ///< as many as the samples buffers hold
-    LeaveOut leave_out = parse_leave_out("all");
-    std::function<bool(float)> progress; ///< told the part done; false cancels
-};
 
 /// One model applied to frames. One run at a time.
 class Denoiser {

@@ -72,7 +72,7 @@ struct Scene {
         std::vector<std::pair<std::string, int>> outputs = {{"color", 3}};
         if (frame.has("alpha"))
             outputs.push_back({"alpha", 1});
-        if (frame.split(loaded->manifest()))
+        if (decide_reads(frame, loaded->manifest(), settings).split)
             outputs.insert(outputs.end(), {{"diffuse", 3}, {"specular", 3}});
         for (const auto &[name, channels] : outputs) {
             const pathfold_image image = output(name, channels);
@@ -384,8 +384,7 @@ TEST(Denoiser, WhatIsNotNeededIsLeftOut) {
     for (const auto &[names, whats] :
          std::map<std::string, Whats>{{"all", {"branch specular", "8 of 16 tiles"}},
                                       {"branches", {"branch diffuse in 8 of 16 tiles", "branch specular"}},
-                                      {"tiles", {"8 of 16 tiles"}},
-                                      {"inputs", {}}}) {
+                                      {"tiles", {"8 of 16 tiles"}}}) {
         scene.settings.leave_out = parse_leave_out(names);
         expect_near(scene.denoise("split-5"), all, 1e-5);
         EXPECT_EQ(left_out(scene), whats) << names;
@@ -404,16 +403,13 @@ TEST(Denoiser, ABlackFrameRunsNothing) {
     EXPECT_EQ(scene.report["ms"]["network"], 0.0);
 }
 
-TEST(Denoiser, InputsThatAreNotReadAreLeftOut) {
+TEST(Denoiser, InputsThatAreNotReadDoNotMatter) {
     Scene scene = Scene::color(32, 32);
     const Pixels alone = scene.denoise("single-3");
     scene.buffers.emplace("normal", Pixels(32, 32, 3, nan));
-    for (const char *names : {"all", "none"}) {
-        scene.settings.leave_out = parse_leave_out(names);
-        EXPECT_EQ(scene.denoise("single-3").values, alone.values);
-        EXPECT_EQ(scene.report["sanitised"]["non_finite"], 0);
-        EXPECT_EQ(left_out(scene), names[0] == 'a' ? Whats{"input normal"} : Whats());
-    }
+    EXPECT_EQ(scene.denoise("single-3").values, alone.values);
+    EXPECT_EQ(scene.report["sanitised"]["non_finite"], 0);
+    EXPECT_EQ(scene.report["inputs"]["unused"], Json({"normal"}));
 }
 
 TEST(Denoiser, OneSampleTellsNoVariance) {

@@ -1,6 +1,5 @@
 #include "frame.h"
 
-#include <algorithm>
 #include <set>
 
 #include "buffers.h"
@@ -94,25 +93,6 @@ int64_t Frame::samples() const {
     return 0;
 }
 
-Frame Frame::without_samples() const {
-    Frame pixels = *this;
-    for (const auto &[name, view] : inputs_)
-        if (find_buffer(name)->per_sample) {
-            pixels.inputs_.erase(name);
-            pixels.taken_away_.push_back(name);
-        }
-    return pixels;
-}
-
-bool Frame::split(const Manifest &manifest) const {
-    for (const Branch &branch : manifest.branches) {
-        const bool modulated = branch.demodulate_by.empty() || has(branch.demodulate_by);
-        if (branch.radiance == "color" || !has(branch.radiance) || !modulated)
-            return false;
-    }
-    return std::all_of(layers_.begin(), layers_.end(), [](const Layer &layer) { return layer.split(); });
-}
-
 std::vector<std::string> Frame::input_names() const {
     std::vector<std::string> names;
     for (const auto &[name, view] : inputs_)
@@ -120,11 +100,9 @@ std::vector<std::string> Frame::input_names() const {
     return names;
 }
 
-void Frame::check(const Manifest &manifest) const {
+void Frame::check() const {
     check_color();
     check_sizes();
-    check_required(manifest);
-    check_outputs(manifest);
 }
 
 void Frame::check_color() const {
@@ -133,14 +111,6 @@ void Frame::check_color() const {
              "the frame has no color (nor diffuse and specular, whose sum it is); "
              "given: ",
              list(input_names()));
-}
-
-void Frame::check_required(const Manifest &manifest) const {
-    for (const std::string &name : manifest.requires_)
-        if (!has(name) && name != "color") // which is there, or its parts are
-            fail(PATHFOLD_INVALID_ARGUMENT, "the model ", manifest.name, " requires the buffer ", name,
-                 ", which was not given; given: ", list(input_names()),
-                 "; give it, or take a model that does without");
 }
 
 void Frame::check_sizes() const {
@@ -177,28 +147,6 @@ void Frame::check_sizes() const {
             expect_channels(layer.output, layer.parts.begin()->second.channels(), "output " + layer.name);
         }
     }
-}
-
-void Frame::check_outputs(const Manifest &manifest) const {
-    if (outputs_.count("alpha") > 0 && !has("alpha"))
-        fail(PATHFOLD_INVALID_ARGUMENT, "output alpha was asked for, but the frame has no alpha");
-    for (const char *part : {"diffuse", "specular"})
-        if (outputs_.count(part) > 0 && !split(manifest))
-            fail(PATHFOLD_INVALID_ARGUMENT, "output ", part, " was asked for, but the frame is not split: ",
-                 "diffuse, specular and diffuse.albedo are needed, and no layer that is not split");
-    // What is filtered is held by the denoiser; guides and samples are read tile by tile.
-    const std::set<std::string> held = {"color", "diffuse", "specular", "alpha"};
-    const auto expect_apart = [&](const ImageView &output, const std::string &name) {
-        for (const auto &[input_name, view] : inputs_)
-            if (held.count(input_name) == 0 && manifest.reads(input_name) && output.overlaps(view))
-                fail(PATHFOLD_INVALID_ARGUMENT, "output ", name, " lies over the buffer ", input_name,
-                     ", which is read until the end; give it memory of its own");
-    };
-    for (const auto &[name, view] : outputs_)
-        expect_apart(view, name);
-    for (const Layer &layer : layers_)
-        if (!layer.output.empty())
-            expect_apart(layer.output, layer.name);
 }
 
 } // namespace pathfold::core

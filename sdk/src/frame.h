@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "image.h"
-#include "manifest.h"
 
 namespace pathfold::core {
 
@@ -27,9 +26,8 @@ public:
     void set_layer_output(const std::string &layer, const pathfold_image *image);
     void clear();
 
-    /// Throws invalid-argument unless sizes agree, the model's required buffers are there and no output lies
-    /// over an input that is still to be read.
-    void check(const Manifest &manifest) const;
+    /// Throws invalid-argument unless there is radiance, and the sizes of everything agree.
+    void check() const;
 
     bool has(const std::string &name) const { return inputs_.count(name) > 0; }
     const ImageView &input(const std::string &name) const { return inputs_.at(name); }
@@ -41,23 +39,15 @@ public:
     int height() const { return inputs_.begin()->second.height(); }
     int64_t samples() const; ///< per pixel, 0 where no samples were given
 
-    Frame without_samples() const;
-    const std::vector<std::string> &taken_away() const { return taken_away_; } ///< by without_samples
-
-    /// Whether each branch of the model gets radiance of its own.
-    bool split(const Manifest &manifest) const;
+    std::vector<std::string> input_names() const;
 
 private:
     void check_color() const;
     void check_sizes() const;
-    void check_required(const Manifest &manifest) const;
-    void check_outputs(const Manifest &manifest) const;
     Layer &layer(const std::string &name);
-    std::vector<std::string> input_names() const;
 
     std::map<std::string, ImageView> inputs_, outputs_;
     std::vector<Layer> layers_;
-    std::vector<std::string> taken_away_;
 };
 
 } // namespace pathfold::core

@@ -48,11 +48,11 @@ bool is_samples(const std::string &input) { return input.rfind("samples.", 0) ==
 
 } // namespace
 
-Packer::Packer(const Frame &frame, const Prepared &prepared, const Model &model, Threads &threads,
-               TensorMemory &memory, int64_t samples)
-    : frame_(frame), prepared_(prepared), model_(model), threads_(threads),
-      samples_(std::max<int64_t>(1, frame.samples())), behind_(samples), memory_(memory) {
-    for (const ActiveBranch &active : prepared.branches)
+Packer::Packer(const Frame &frame, const Reads &reads, const Prepared &prepared, const Model &model,
+               Threads &threads, TensorMemory &memory)
+    : frame_(frame), reads_(reads), prepared_(prepared), model_(model), threads_(threads),
+      samples_(std::max<int64_t>(1, reads.samples)), memory_(memory) {
+    for (const ActiveBranch &active : reads.branches)
         for (const auto &[name, shape] : model.graph(active.branch->graph).inputs)
             names_.insert(name);
     if (model.manifest().embedding_channels > 0)
@@ -111,11 +111,8 @@ void Packer::start(const Tile &tile, const Embedding &embedding) {
         samples = samples || is_samples(name);
         if (name == "embedding")
             embedding.copy(tile.window, packed.data);
-        if (name == "albedo" || name == "normal" || name == "depth")
+        if (name == "albedo" || name == "normal" || name == "depth" || name == "diffuse.albedo")
             pack_guide(name, name);
-        // Training drops the demodulator together with the split, so an unsplit frame has none.
-        if (name == "diffuse.albedo")
-            pack_guide(name, prepared_.split ? name : "");
     }
     if (samples)
         pack_samples(names_, 0, samples_);
@@ -133,7 +130,7 @@ std::vector<int64_t> Packer::shape_of(const std::string &input) const {
 }
 
 std::vector<Tensor> Packer::inputs(int branch) {
-    const ActiveBranch &active = prepared_.branches[size_t(branch)];
+    const ActiveBranch &active = reads_.branches[size_t(branch)];
     std::vector<Tensor> tensors;
     for (const auto &[name, shape] : model_.graph(active.branch->graph).inputs) {
         if (name == "radiance")
@@ -154,12 +151,13 @@ float Packer::scalar(const std::string &input, int branch) const {
     if (input == "depth_scale")
         return prepared_.depth_scale;
     if (buffer == "split")
-        return prepared_.split ? 1.0f : 0.0f;
+        return reads_.split ? 1.0f : 0.0f;
     if (buffer == "paths")
-        return frame_.has("samples.descriptor") ? 1.0f : 0.0f;
+        return reads_.has("samples.descriptor") ? 1.0f : 0.0f;
     if (buffer == "variance") // a single sample tells nothing of it
-        return frame_.has(prepared_.branches[size_t(branch)].variance) && behind_ != 1 ? 1.0f : 0.0f;
-    return frame_.has(buffer) ? 1.0f : 0.0f;
+        return reads_.has(reads_.branches[size_t(branch)].variance) && reads_.samples_behind != 1 ? 1.0f
+                                                                                                  : 0.0f;
+    return reads_.has(buffer) ? 1.0f : 0.0f;
 }
 
 void Packer::pack_radiance(int branch) {
@@ -177,7 +175,7 @@ void Packer::pack_guide(const std::string &input, const std::string &buffer) {
     const int channels = channels_of(input);
     const size_t plane = size_t(window.width) * window.height;
     float *out = memory_[input].data();
-    if (!frame_.has(buffer)) {
+    if (!reads_.has(buffer)) {
         std::fill_n(out, size_t(channels) * plane, 0.0f);
         return;
     }
@@ -221,7 +219,7 @@ void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, i
     const Rect &window = tile_.window;
     const size_t plane = size_t(window.width) * window.height;
     const auto read = [&](const char *name, int channels, float absent, float *out) {
-        if (model_.manifest().reads(name) && frame_.has(name))
+        if (reads_.has(name))
             frame_.input(name).load_row(sample, window.y + row, window.x, window.width, out);
         else
             std::fill_n(out, size_t(window.width) * channels, absent);
@@ -231,11 +229,11 @@ void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, i
     float *descriptor = scratch.data(), *density = descriptor + size_t(window.width) * channels;
     float *valid = density + window.width;
     read("samples.descriptor", channels, 0.0f, descriptor);
-    if (frame_.has("samples.descriptor") && model_.manifest().reads("samples.descriptor"))
+    if (reads_.has("samples.descriptor"))
         add_vertices(descriptor, window.width, vertices_of(frame_.input("samples.descriptor").channels()));
     read("samples.density", 1, 0.0f, density);
     // Without any samples there is one that says nothing.
-    read("samples.valid", 1, frame_.samples() > 0 ? 1.0f : 0.0f, valid);
+    read("samples.valid", 1, reads_.samples > 0 ? 1.0f : 0.0f, valid);
 
     for (int x = 0; x < window.width; ++x) {
         float *values = descriptor + size_t(x) * channels;

@@ -21,9 +21,8 @@ using TensorMemory = std::map<std::string, std::vector<float>>;
 /// The network inputs of one tile after another: planar, sanitised.
 class Packer {
 public:
-    /// `samples` per pixel are behind the frame, 0: not known, whether it holds them or not.
-    Packer(const Frame &frame, const Prepared &prepared, const Model &model, Threads &threads,
-           TensorMemory &memory, int64_t samples);
+    Packer(const Frame &frame, const Reads &reads, const Prepared &prepared, const Model &model,
+           Threads &threads, TensorMemory &memory);
 
     /// The inputs of the graph "embedding" for `count` samples from `first` on. Valid until the next call.
     std::vector<Tensor> samples(const Rect &area, int64_t first, int64_t count);
@@ -55,11 +54,12 @@ private:
     int channels_of(const std::string &input) const;
 
     const Frame &frame_;
+    const Reads &reads_;
     const Prepared &prepared_;
     const Model &model_;
     Threads &threads_;
     Names names_, embedded_; ///< inputs of the branches' graphs at work, and of the graph "embedding"
-    int64_t samples_, behind_;
+    int64_t samples_;        ///< per pixel that are packed, at least one that says nothing
     Tile tile_;
     TensorMemory &memory_;
     Counts counts_;

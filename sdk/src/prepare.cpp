@@ -147,51 +147,31 @@ float find_depth_scale(const ImageView &depth, Threads &threads) {
 }
 
 /// What the branch divides radiance by, at every pixel.
-Planes load_factor(const Frame &frame, const Branch &branch, Threads &threads) {
-    if (branch.demodulate_by.empty())
+Planes load_factor(const Frame &frame, const ActiveBranch &active, Threads &threads) {
+    if (active.factor.empty())
         return {};
     Counts counted_by_packer;
-    const ImageView &view = frame.input(branch.demodulate_by);
+    const ImageView &view = frame.input(active.factor);
     return load(view, threads, counted_by_packer, [&](float *pixels, int, Counts &) {
-        sanitise_guide(pixels, view.width(), view.channels(), guide_range(branch.demodulate_by));
+        sanitise_guide(pixels, view.width(), view.channels(), guide_range(active.factor));
         for (int i = 0; i < view.width() * view.channels(); ++i)
-            pixels[i] += branch.epsilon;
+            pixels[i] += active.branch->epsilon;
     });
 }
 
-/// The buffers that hold the variance of each radiance.
-std::string variance_of(const std::string &radiance) {
-    return radiance == "color" ? "variance" : radiance + ".variance";
-}
-
-void add_branches(const Frame &frame, const Manifest &manifest, Prepared &prepared, Threads &threads) {
+void add_branches(const Frame &frame, const Reads &reads, Prepared &prepared, Threads &threads) {
     const auto load_buffer = [&](const std::string &name) {
         return load_radiance(frame.input(name), false, prepared.valid, threads, prepared.counts);
     };
-    if (prepared.split) {
-        for (const Branch &branch : manifest.branches) {
-            const int index = int(prepared.branches.size());
-            prepared.branches.push_back({&branch, branch.radiance, variance_of(branch.radiance),
-                                         load_factor(frame, branch, threads)});
-            prepared.signals.push_back(
-                {branch.radiance, index, !branch.demodulate_by.empty(), false, load_buffer(branch.radiance)});
-        }
-        return;
+    for (const ActiveBranch &active : reads.branches) {
+        const int index = int(prepared.factors.size());
+        prepared.factors.push_back(load_factor(frame, active, threads));
+        Planes radiance = load_buffer(active.parts[0]);
+        for (size_t i = 1; i < active.parts.size(); ++i)
+            add(radiance, load_buffer(active.parts[i]), threads);
+        prepared.signals.push_back(
+            {active.radiance, index, !active.factor.empty(), false, std::move(radiance)});
     }
-    Planes color = load_buffer(frame.has("color") ? "color" : "diffuse");
-    if (!frame.has("color"))
-        add(color, load_buffer("specular"), threads);
-    const Branch &branch = manifest.unsplit_branch();
-    const bool demodulated = frame.has(branch.demodulate_by);
-    prepared.branches.push_back(
-        {&branch, "color", "variance", demodulated ? load_factor(frame, branch, threads) : Planes()});
-    prepared.signals.push_back({"color", 0, demodulated, false, std::move(color)});
-}
-
-int branch_with(const Prepared &prepared, const std::string &radiance) {
-    const auto found = std::find_if(prepared.branches.begin(), prepared.branches.end(),
-                                    [&](const ActiveBranch &active) { return active.radiance == radiance; });
-    return int(found - prepared.branches.begin());
 }
 
 /// Alpha and layers ride along with the beauty: what is wrong with them masks nothing.
@@ -200,22 +180,23 @@ Planes load_rider(const ImageView &view, bool keeps_sign, Prepared &prepared, Th
     return load_radiance(view, keeps_sign, unused, threads, prepared.counts);
 }
 
-void add_layers(const Frame &frame, Prepared &prepared, Threads &threads) {
+void add_layers(const Frame &frame, const Reads &reads, Prepared &prepared, Threads &threads) {
     for (const Layer &layer : frame.layers()) {
-        if (prepared.split) {
-            for (const auto &[part, view] : layer.parts) {
-                const int branch = branch_with(prepared, part);
-                prepared.signals.push_back({layer.name, branch, prepared.signals[size_t(branch)].demodulated,
-                                            true, load_rider(view, true, prepared, threads)});
-            }
+        // the beauty's own factor, so that layers add up to it
+        const auto add_layer = [&](size_t branch, Planes values) {
+            prepared.signals.push_back(
+                {layer.name, int(branch), prepared.signals[branch].demodulated, true, std::move(values)});
+        };
+        if (reads.split) {
+            for (size_t i = 0; i < reads.branches.size(); ++i)
+                add_layer(i, load_rider(layer.parts.at(reads.branches[i].radiance), true, prepared, threads));
             continue;
         }
         auto part = layer.parts.begin();
         Planes values = load_rider(part->second, true, prepared, threads);
         if (++part != layer.parts.end())
             add(values, load_rider(part->second, true, prepared, threads), threads);
-        // the beauty's own factor, so that layers add up to it
-        prepared.signals.push_back({layer.name, 0, prepared.signals[0].demodulated, true, std::move(values)});
+        add_layer(0, std::move(values));
     }
 }
 
@@ -306,28 +287,19 @@ float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<
     return within_floats(key / std::exp2(logs / double(count)));
 }
 
-void read_unneeded(const ImageView &view, Threads &threads) {
-    for (int64_t sample = 0; sample < view.samples(); ++sample)
-        for_rows(threads, view.height(), [&](int y) {
-            std::vector<float> pixels(size_t(view.width()) * size_t(view.channels()));
-            view.load_row(sample, y, 0, view.width(), pixels.data());
-            sanitise_guide(pixels.data(), view.width(), view.channels(), guide_range("normal"));
-        });
-}
-
-Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, Threads &threads) {
+Prepared prepare(const Frame &frame, const Reads &reads, float exposure, float exposure_key,
+                 Threads &threads) {
     Prepared prepared;
-    prepared.split = frame.split(manifest);
     prepared.valid.assign(size_t(frame.width()) * size_t(frame.height()), 1);
     const auto start = std::chrono::steady_clock::now();
-    add_branches(frame, manifest, prepared, threads);
-    if (frame.has("alpha")) {
-        const auto unsplit = std::find_if(prepared.branches.begin(), prepared.branches.end(),
+    add_branches(frame, reads, prepared, threads);
+    if (reads.has("alpha")) {
+        const auto unsplit = std::find_if(reads.branches.begin(), reads.branches.end(),
                                           [](const ActiveBranch &active) { return active.branch->unsplit; });
-        prepared.signals.push_back({"alpha", int(unsplit - prepared.branches.begin()), false, false,
+        prepared.signals.push_back({"alpha", int(unsplit - reads.branches.begin()), false, false,
                                     load_rider(frame.input("alpha"), false, prepared, threads)});
     }
-    add_layers(frame, prepared, threads);
+    add_layers(frame, reads, prepared, threads);
     prepared.load_ms =
         std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     for (const Signal &signal : prepared.signals)
@@ -337,13 +309,13 @@ Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, T
     prepared.exposure = exposure;
     if (exposure <= 0) {
         std::vector<const Planes *> parts;
-        for (size_t i = 0; i < prepared.branches.size(); ++i)
+        for (size_t i = 0; i < reads.branches.size(); ++i)
             parts.push_back(&prepared.signals[i].values);
-        prepared.exposure = auto_exposure(parts, prepared.valid, manifest.exposure_key, threads);
+        prepared.exposure = auto_exposure(parts, prepared.valid, exposure_key, threads);
     }
     for (Signal &signal : prepared.signals)
         cap(signal.values, radiance_cap(prepared.exposure), threads, prepared.counts);
-    if (frame.has("depth") && manifest.reads("depth"))
+    if (reads.has("depth"))
         prepared.depth_scale = find_depth_scale(frame.input("depth"), threads);
     return prepared;
 }

@@ -4,9 +4,9 @@
 #include <string>
 #include <vector>
 
-#include "frame.h"
 #include "image.h"
 #include "parallel.h"
+#include "reads.h"
 
 namespace pathfold::core {
 
@@ -20,35 +20,26 @@ struct Counts {
 /// An image that some branch's kernels are applied to, sanitised.
 struct Signal {
     std::string name;         ///< the output that it is a part of: "diffuse", "alpha", a layer
-    int branch = 0;           ///< index into Prepared::branches
+    int branch = 0;           ///< index into Reads::branches
     bool demodulated = false; ///< divided by the branch's albedo while it is filtered
     bool keeps_sign = false;  ///< layers do
     Planes values;
 };
 
-/// A branch of the model at work on this frame; its radiance is signals[i] of the same index.
-struct ActiveBranch {
-    const Branch *branch = nullptr;
-    std::string radiance, variance; ///< the buffers that its network reads
-    Planes factor;                  ///< what radiance is divided by while it is filtered; empty: nothing
-};
-
 /// Everything of a frame that concerns the image as a whole.
 struct Prepared {
-    bool split = false;
-    std::vector<ActiveBranch> branches;
-    std::vector<Signal> signals;
-    std::vector<uint8_t> valid; ///< per pixel: 0 where the beauty's radiance is not finite
+    std::vector<Planes> factors; ///< per branch: what radiance is divided by meanwhile; empty: nothing
+    std::vector<Signal> signals; ///< the first ones are the branches' radiance
+    std::vector<uint8_t> valid;  ///< per pixel: 0 where the beauty's radiance is not finite
     float exposure = 1, depth_scale = 1;
     Counts counts;
     double load_ms = 0, loaded = 0; ///< the time that reading radiance took, and how many values that was
 };
 
-/// Reads a buffer and throws it away: what leaving it out saves.
-void read_unneeded(const ImageView &view, Threads &threads);
-
-/// Reads and sanitises what will be filtered, and takes the frame's statistics. `exposure` 0: from the image.
-Prepared prepare(const Frame &frame, const Manifest &manifest, float exposure, Threads &threads);
+/// Reads and sanitises what will be filtered, and takes the frame's statistics. `exposure` 0: from the image,
+/// whose log-average then becomes `exposure_key`.
+Prepared prepare(const Frame &frame, const Reads &reads, float exposure, float exposure_key,
+                 Threads &threads);
 
 /// key / log-average luminance over bins of 16 x 16 pixels; pixels that are not valid do not count. The
 /// bright level is the largest mean of a bin without the brightest 64th of its pixels, the brightest 64th of

@@ -11,8 +11,10 @@ namespace {
 constexpr float nan = std::numeric_limits<float>::quiet_NaN();
 constexpr float infinity = std::numeric_limits<float>::infinity();
 
-Manifest manifest_of(const std::string &model) {
-    return Manifest::parse(read_text(model_folder(model) + "/manifest.json"));
+/// What that model makes of the frame.
+Prepared run(const Frame &frame, const std::string &model, float exposure, Threads &threads) {
+    const Manifest manifest = Manifest::parse(read_text(model_folder(model) + "/manifest.json"));
+    return prepare(frame, decide_reads(frame, manifest, {}), exposure, manifest.exposure_key, threads);
 }
 
 float exposure_of(const Pixels &color) {
@@ -106,9 +108,8 @@ TEST(Prepare, MasksAPixelInEveryPart) {
     split.specular.at(7, 8, 0) = infinity;
     split.set();
     Threads threads;
-    const Prepared prepared = prepare(split.frame, manifest_of("split-5"), 0, threads);
-    ASSERT_TRUE(prepared.split);
-    ASSERT_EQ(prepared.signals.size(), 2u);
+    const Prepared prepared = run(split.frame, "split-5", 0, threads);
+    ASSERT_EQ(prepared.signals.size(), 2u); // split
     for (const Signal &signal : prepared.signals)
         for (auto [y, x] : {std::pair(5, 6), {7, 8}})
             for (int c = 0; c < 3; ++c)
@@ -123,7 +124,7 @@ TEST(Prepare, NegativeRadianceAndCaps) {
     split.specular.at(2, 2, 2) = 3e38f;
     split.set();
     Threads threads;
-    const Prepared prepared = prepare(split.frame, manifest_of("split-5"), 10, threads);
+    const Prepared prepared = run(split.frame, "split-5", 10, threads);
     EXPECT_EQ(prepared.signals[0].values.row(0, 1)[1], 0.0f);
     EXPECT_FLOAT_EQ(prepared.signals[1].values.row(2, 2)[2], 1e29f);
     EXPECT_EQ(prepared.counts.negative, 1);
@@ -140,8 +141,8 @@ TEST(Prepare, DepthScaleLeavesMissesOut) {
     frame.set_input("color", &images[0]);
     frame.set_input("depth", &images[1]);
     Threads threads;
-    EXPECT_FLOAT_EQ(prepare(frame, manifest_of("split-5"), 0, threads).depth_scale, 0.25f);
-    EXPECT_EQ(prepare(frame, manifest_of("single-3"), 0, threads).depth_scale, 1.0f); // does not read it
+    EXPECT_FLOAT_EQ(run(frame, "split-5", 0, threads).depth_scale, 0.25f);
+    EXPECT_EQ(run(frame, "single-3", 0, threads).depth_scale, 1.0f); // does not read it
 }
 
 TEST(Prepare, DepthScaleStaysAFloat) {
@@ -154,7 +155,7 @@ TEST(Prepare, DepthScaleStaysAFloat) {
         const pathfold_image images[] = {color.image(), depth.image()};
         frame.set_input("color", &images[0]);
         frame.set_input("depth", &images[1]);
-        EXPECT_TRUE(std::isnormal(prepare(frame, manifest_of("split-5"), 0, threads).depth_scale)) << value;
+        EXPECT_TRUE(std::isnormal(run(frame, "split-5", 0, threads).depth_scale)) << value;
     }
 }
 
@@ -165,8 +166,8 @@ TEST(Prepare, RemodulationStaysAFloat) {
     split.albedo.at(5, 6, 1) = 0;
     split.set();
     Threads threads;
-    const Prepared prepared = prepare(split.frame, manifest_of("split-5"), 1e-6f, threads);
-    const Planes &factor = prepared.branches[0].factor;
+    const Prepared prepared = run(split.frame, "split-5", 1e-6f, threads);
+    const Planes &factor = prepared.factors[0];
     const float brightest = prepared.signals[0].values.row(1, 5)[6] / factor.row(1, 5)[6];
     EXPECT_TRUE(std::isfinite(brightest * factor.row(0, 3)[4]));
 }
@@ -190,10 +191,9 @@ TEST(Prepare, AnUnsplitLayerMakesTheFrameUnsplit) {
     const pathfold_image image = color.image();
     split.frame.set_layer("key", "color", &image);
     Threads threads;
-    const Prepared prepared = prepare(split.frame, manifest_of("split-5"), 0, threads);
-    EXPECT_FALSE(prepared.split);
-    ASSERT_EQ(prepared.branches.size(), 1u);
-    EXPECT_EQ(prepared.branches[0].radiance, "color");
+    const Prepared prepared = run(split.frame, "split-5", 0, threads);
+    ASSERT_EQ(prepared.signals.size(), 2u); // with the layer
+    EXPECT_EQ(prepared.signals[0].name, "color");
     EXPECT_FLOAT_EQ(prepared.signals[0].values.row(1, 3)[4],
                     split.diffuse.at(3, 4, 1) + split.specular.at(3, 4, 1));
 }

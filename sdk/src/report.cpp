@@ -1,7 +1,5 @@
 #include "report.h"
 
-#include <algorithm>
-
 #include <nlohmann/json.hpp>
 
 namespace pathfold::core {
@@ -10,20 +8,13 @@ using Json = nlohmann::json;
 
 namespace {
 
-Json describe_inputs(const Frame &frame, const Manifest &manifest, bool split) {
-    std::vector<std::string> unread = unread_buffers(frame, manifest, split);
-    const std::vector<std::string> &taken = frame.taken_away();
-    unread.insert(unread.end(), taken.begin(), taken.end());
-    Json used = Json::array(), missing = Json::array();
-    for (const auto &[name, view] : frame.inputs())
-        if (std::find(unread.begin(), unread.end(), name) == unread.end())
-            used.push_back(name);
+Json describe_inputs(const Frame &frame, const Manifest &manifest, const Reads &reads) {
+    Json missing = Json::array();
     for (const auto *names : {&manifest.requires_, &manifest.uses})
         for (const std::string &name : *names)
-            if (!frame.has(name) && !(name == "color" && split) &&
-                std::find(taken.begin(), taken.end(), name) == taken.end())
+            if (!frame.has(name) && !(name == "color" && reads.split))
                 missing.push_back(name);
-    return {{"used", used}, {"unused", unread}, {"missing", missing}};
+    return {{"used", reads.buffers}, {"unused", reads.unread}, {"missing", missing}};
 }
 
 Json describe_left_out(const std::vector<LeftOut> &left_out) {
@@ -39,7 +30,8 @@ Json describe_left_out(const std::vector<LeftOut> &left_out) {
 
 } // namespace
 
-std::string Report::json(const Frame &frame, const Model &model, const Prepared &prepared) const {
+std::string Report::json(const Frame &frame, const Reads &reads, const Model &model,
+                         const Prepared &prepared) const {
     const Manifest &manifest = model.manifest();
     const Json report = {
         {"model", manifest.name},
@@ -48,11 +40,11 @@ std::string Report::json(const Frame &frame, const Model &model, const Prepared 
         {"threads", model.threads()},
         {"width", frame.width()},
         {"height", frame.height()},
-        {"samples_per_pixel", samples},
-        {"split", prepared.split},
+        {"samples_per_pixel", reads.samples_behind},
+        {"split", reads.split},
         {"exposure", prepared.exposure},
         {"depth_scale", prepared.depth_scale},
-        {"inputs", describe_inputs(frame, manifest, prepared.split)},
+        {"inputs", describe_inputs(frame, manifest, reads)},
         {"sanitised",
          {{"non_finite", counts.non_finite},
           {"negative", counts.negative},

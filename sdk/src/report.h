@@ -39,14 +39,14 @@ struct Report {
     std::vector<std::string> branches; ///< that ran
     std::vector<LeftOut> left_out;
     std::vector<std::string> notes;
-    int64_t samples = 0; ///< per pixel; 0: not known
     size_t tiles = 0;
     int tile_width = 0, tile_height = 0; ///< of the largest core
     Times times;
     Counts counts;
 
     /// As JSON text.
-    std::string json(const Frame &frame, const Model &model, const Prepared &prepared) const;
+    std::string json(const Frame &frame, const Reads &reads, const Model &model,
+                     const Prepared &prepared) const;
 };
 
 } // namespace pathfold::core

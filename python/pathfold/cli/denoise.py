@@ -58,8 +58,8 @@ def denoise(
     leave_out: Annotated[
         str,
         typer.Option(
-            help="What is not computed where the picture does not need it: all, none, or some of branches, tiles, "
-            "inputs (exact), converged and paths (approximate), with commas between."
+            help="What is not computed where the picture does not need it: all, none, or some of branches, tiles "
+            "(exact), converged and paths (approximate), with commas between."
         ),
     ] = "all",
     keep_samples: Annotated[bool, typer.Option("--keep-samples", help="Copy the noisy samples as well.")] = False,

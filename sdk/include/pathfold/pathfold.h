@@ -183,12 +183,11 @@ PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_number(path
 
 /* Sets what is left out where a frame does not need it: "all" (default, every exact one), "none", or names
  * with commas between. Exact, the result stays the same: "branches" (of the model, that change nothing in the
- * frame or a tile), "tiles" (in which nothing changes anything), "inputs" (that the model does not read for
- * this frame; else they are read and thrown away). Approximate, by name only, "all,converged" for example:
- * "converged" (tiles of at least 16 samples per pixel and known variance whose expected RelL2 is at most 1e-4
- * are copied), "paths" (the samples' descriptors, from as many samples per pixel on as the model's manifest
- * says). The report says what was left out and what that saved, by the times of the same run.
- * PATHFOLD_INVALID_ARGUMENT: no such name. */
+ * frame or a tile), "tiles" (in which nothing changes anything). Approximate, by name only, "all,converged"
+ * for example: "converged" (tiles of at least 16 samples per pixel and known variance whose expected RelL2 is
+ * at most 1e-4 are copied), "paths" (the samples' descriptors, from as many samples per pixel on as the
+ * model's manifest says). The report says what was left out and what that saved, by the times of the same
+ * run. PATHFOLD_INVALID_ARGUMENT: no such name. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_leave_out(pathfold_denoiser *denoiser,
                                                                                const char *names);
 
