@@ -7,6 +7,9 @@
 #include "error.h"
 #include "model.h"
 #include "pathfold/pathfold.h"
+#include "prepare.h"
+#include "reads.h"
+#include "reconstruct.h"
 
 using namespace pathfold::core;
 
@@ -62,35 +65,6 @@ Pointer &given(Pointer *argument, const char *name) {
 std::string given_text(const char *argument, const char *name) {
     given(argument, name);
     return argument;
-}
-
-void gather_image(const ImageView &view, const float *logits, int radius, const ImageView &result) {
-    const int height = view.height(), width = view.width(), channels = view.channels();
-    const size_t pixels = size_t(height) * width, taps = size_t(2 * radius + 1) * (2 * radius + 1);
-    std::vector<uint8_t> valid(pixels, 1);
-    Threads threads;
-    Counts counts;
-    const Planes planes = load_radiance(view, true, valid, threads, counts);
-    Neighbourhood source;
-    source.reset(channels, height, width, radius);
-    for (int y = 0; y < height; ++y) {
-        for (int c = 0; c < channels; ++c)
-            std::copy_n(planes.row(c, y), width, source.row(c, y) + radius);
-        for (int x = 0; x < width; ++x)
-            if (valid[size_t(y) * width + x] != 0)
-                source.shift_row(y)[radius + x] = 0;
-    }
-    source.finish();
-    std::vector<float> copy(logits, logits + taps * pixels), gathered(pixels * channels);
-    copy.resize(copy.size() + gather_slack);
-    gather(threads, {copy.data(), pixels, size_t(width)}, source, gathered.data());
-    std::vector<float> row(size_t(width) * channels);
-    for (int y = 0; y < height; ++y) {
-        for (int c = 0; c < channels; ++c)
-            for (int x = 0; x < width; ++x)
-                row[size_t(x) * channels + c] = gathered[size_t(c) * pixels + size_t(y) * width + x];
-        result.store_row(y, 0, width, row.data());
-    }
 }
 
 } // namespace
@@ -265,6 +239,7 @@ pathfold_status pathfold_gather(const pathfold_image *image, const float *logits
         if (view.size_text() != out.size_text() || view.samples() != 1)
             fail(PATHFOLD_INVALID_ARGUMENT, "result is ", out.size_text(), "; it must be like image, ",
                  view.size_text());
-        gather_image(view, logits, size / 2, out);
+        Threads threads;
+        gather_image(threads, view, logits, size / 2, out);
     });
 }

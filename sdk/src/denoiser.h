@@ -2,15 +2,14 @@
 
 #include <memory>
 #include <string>
-#include <vector>
 
+#include "embedding.h"
 #include "frame.h"
 #include "model.h"
-#include "needs.h"
+#include "operator.h"
 #include "pack.h"
-#include "pyramid.h"
-#include "reconstruct.h"
-#include "report.h"
+#include "parallel.h"
+#include "plan.h"
 #include "settings.h"
 
 namespace pathfold::core {
@@ -23,6 +22,9 @@ public:
     /// Denoises the frame into its outputs and returns the report, as JSON.
     std::string run(const Frame &frame, const Settings &settings);
 
+    /// What a run of the frame would come to.
+    Plan plan(const Frame &frame, const Settings &settings) const;
+
     const Model &model() const { return *model_; }
 
 private:
@@ -30,11 +32,10 @@ private:
 
     std::shared_ptr<const Model> model_;
     Threads threads_;
-    TensorMemory tensors_;        // kept between tiles and frames
-    Embedding embedding_;         // likewise
-    std::vector<float> logits_;   // likewise
-    Neighbourhood neighbourhood_; // likewise
-    Pyramid pyramid_, cleaner_;   // likewise
+    TensorMemory tensors_;               // kept between tiles and frames
+    Embedding embedding_;                // likewise
+    Prediction prediction_;              // likewise
+    std::unique_ptr<Operator> operator_; // likewise
 };
 
 } // namespace pathfold::core

@@ -4,10 +4,9 @@
 #include <cstring>
 #include <limits>
 
-#include <nlohmann/json.hpp>
-
 #include "half.h"
 #include "naive.h"
+#include "scene.h"
 #include "testing.h"
 
 namespace pathfold::core {
@@ -15,108 +14,21 @@ namespace {
 
 constexpr float nan = std::numeric_limits<float>::quiet_NaN();
 constexpr float infinity = std::numeric_limits<float>::infinity();
-using Json = nlohmann::json;
-
-/// Buffers by name, denoised by a model; `results` has what came out.
-struct Scene {
-    std::map<std::string, Pixels> buffers;
-    std::map<std::string, std::map<std::string, Pixels>> layers;
-    std::map<std::string, Pixels> results;
-    Settings settings;
-    Json report;
-
-    int height() const { return buffers.begin()->second.height; }
-    int width() const { return buffers.begin()->second.width; }
-
-    /// Every pixel buffer that models read.
-    static Scene full(int height, int width) {
-        Scene scene;
-        unsigned seed = 0;
-        for (const char *name : {"diffuse", "specular", "diffuse.albedo", "albedo", "normal",
-                                 "diffuse.variance", "specular.variance"})
-            scene.buffers.emplace(name, noise(height, width, 3, ++seed));
-        scene.buffers.emplace("depth", noise(height, width, 1, ++seed));
-        scene.buffers.emplace("alpha", noise(height, width, 1, ++seed));
-        for (float &value : scene.buffers.at("normal").values)
-            value = std::min(value - 1, 1.0f);
-        scene.settings.exposure = 0.5f;
-        return scene;
-    }
-
-    static Scene color(int height, int width, unsigned seed = 1) {
-        Scene scene;
-        scene.buffers.emplace("color", noise(height, width, 3, seed));
-        scene.settings.exposure = 0.5f;
-        return scene;
-    }
-
-    Pixels &denoise(const std::string &model, int threads = 2, const std::string &precision = "auto") {
-        Frame frame;
-        for (const auto &[name, pixels] : buffers) {
-            const pathfold_image image = pixels.image();
-            frame.set_input(name, &image);
-        }
-        const auto loaded = std::make_shared<const Model>(model_folder(model), "cpu", threads, precision);
-        const auto output = [&](const std::string &name, int channels) {
-            results.insert_or_assign(name, Pixels(height(), width(), channels, -7));
-            return results.at(name).image();
-        };
-        for (const auto &[layer, parts] : layers) {
-            for (const auto &[part, pixels] : parts) {
-                const pathfold_image image = pixels.image();
-                frame.set_layer(layer, part, &image);
-            }
-            const pathfold_image image = output(layer, parts.begin()->second.channels);
-            frame.set_layer_output(layer, &image);
-        }
-        std::vector<std::pair<std::string, int>> outputs = {{"color", 3}};
-        if (frame.has("alpha"))
-            outputs.push_back({"alpha", 1});
-        if (decide_reads(frame, loaded->manifest(), settings).split)
-            outputs.insert(outputs.end(), {{"diffuse", 3}, {"specular", 3}});
-        for (const auto &[name, channels] : outputs) {
-            const pathfold_image image = output(name, channels);
-            frame.set_output(name, &image);
-        }
-        report = Json::parse(Denoiser(loaded).run(frame, settings));
-        return results.at("color");
-    }
-};
-
-/// A network's logits for a whole frame, fed by hand.
-std::vector<float> naive_logits(const std::string &model, const std::string &graph, int taps,
-                                std::map<std::string, std::vector<float>> &values, int height, int width) {
-    const std::string bytes = read_text(model_folder(model) + "/" + graph + ".onnx");
-    const Session session(bytes.data(), bytes.size(), graph, "cpu", 1);
-    std::vector<Tensor> inputs;
-    for (const Port &port : session.inputs()) {
-        std::vector<float> &input = values.at(port.name);
-        std::vector<int64_t> shape = port.shape;
-        if (shape.size() == 4)
-            shape = {int64_t(input.size()) / (shape[1] * height * width), shape[1], height, width};
-        inputs.push_back({port.name, shape, input.data()});
-    }
-    std::vector<float> logits(size_t(taps) * height * width);
-    session.run(inputs, {{"logits", {1, taps, height, width}, logits.data()}});
-    return logits;
-}
-
-std::vector<float> planar(const Pixels &pixels) {
-    std::vector<float> planes;
-    for (int c = 0; c < pixels.channels; ++c)
-        for (int i = 0; i < pixels.height * pixels.width; ++i)
-            planes.push_back(pixels.values[size_t(i) * pixels.channels + c]);
-    return planes;
-}
-
-Pixels sum(const Pixels &a, const Pixels &b) {
-    Pixels result = a;
-    for (size_t i = 0; i < result.values.size(); ++i)
-        result.values[i] += b.values[i];
-    return result;
-}
 
 } // namespace
+
+TEST(Denoiser, SteepNetworksStayFinite) {
+    Scene scene = Scene::color(30, 30);
+    for (float value : scene.denoise("steep-5").values)
+        EXPECT_TRUE(std::isfinite(value) && value >= 0);
+}
+
+TEST(Denoiser, WhereANetworkFailsTheNoisyPixelStays) {
+    Scene scene = Scene::color(20, 20);
+    const Pixels &result = scene.denoise("broken-3");
+    EXPECT_EQ(result.values, scene.buffers.at("color").values);
+    EXPECT_EQ(scene.report["sanitised"]["repaired"], 20 * 20 * 3);
+}
 
 TEST(Denoiser, ColorEqualsNaive) {
     for (auto [model, size, channels] :
@@ -202,6 +114,29 @@ TEST(Denoiser, TrustReachesAcrossTiles) {
     EXPECT_EQ(scene.report["tiles"], 30);
 }
 
+TEST(Denoiser, APyramidInTilesEqualsTheWhole) {
+    Scene scene = Scene::color(200, 170);
+    scene.buffers.emplace("albedo", noise(200, 170, 3, 4));
+    scene.buffers.emplace("alpha", noise(200, 170, 1, 5));
+    scene.buffers.at("color").at(16, 16, 0) = nan;
+    scene.layers["key"].emplace("color", noise(200, 170, 3, 6));
+    std::map<std::string, Pixels> whole;
+    for (int tile : {0, 64}) {
+        scene.settings.tile = tile;
+        scene.denoise("pyramid");
+        if (tile == 0)
+            whole = scene.results;
+    }
+    EXPECT_EQ(scene.report["tiles"], 12);
+    for (const auto &[name, pixels] : whole)
+        expect_near(scene.results.at(name), pixels, 1e-5);
+    EXPECT_NE(whole.at("color").values, scene.buffers.at("color").values);
+    const Pixels with_albedo = whole.at("alpha");
+    scene.buffers.erase("albedo"); // nothing is cleaned then, nor divided by
+    scene.denoise("pyramid");
+    EXPECT_NE(scene.results.at("color").values, whole.at("color").values);
+}
+
 TEST(Denoiser, TiledEqualsWhole) {
     Scene scene = Scene::full(67, 93);
     scene.buffers.at("diffuse").at(16, 16, 0) = nan;
@@ -219,17 +154,6 @@ TEST(Denoiser, ThreadsDoNotMatter) {
     const Pixels two = scene.denoise("split-5", 2);
     EXPECT_EQ(scene.denoise("split-5", 1).values, two.values);
     EXPECT_EQ(scene.denoise("split-5", 3).values, two.values);
-}
-
-TEST(Denoiser, MemoryBoundsTheTiles) {
-    Scene scene = Scene::color(200, 200);
-    scene.settings.memory_mb = 20;
-    scene.denoise("single-21");
-    EXPECT_GE(scene.report["tiles"], 4); // of windows of 11700 pixels
-    scene.settings.memory_mb = 0;
-    scene.settings.tile = 6;
-    expect_error(
-        PATHFOLD_INVALID_ARGUMENT, [&] { scene.denoise("single-21"); }, "tile is 6", "multiple of 4");
 }
 
 TEST(Denoiser, ABadPixelChangesOnlyItsNeighbours) {
@@ -314,19 +238,6 @@ TEST(Denoiser, DamagedGuidesAndSamples) {
     EXPECT_EQ(marked.values, damaged.values);
 }
 
-TEST(Denoiser, SteepNetworksStayFinite) {
-    Scene scene = Scene::color(30, 30);
-    for (float value : scene.denoise("steep-5").values)
-        EXPECT_TRUE(std::isfinite(value) && value >= 0);
-}
-
-TEST(Denoiser, WhereANetworkFailsTheNoisyPixelStays) {
-    Scene scene = Scene::color(20, 20);
-    const Pixels &result = scene.denoise("broken-3");
-    EXPECT_EQ(result.values, scene.buffers.at("color").values);
-    EXPECT_EQ(scene.report["sanitised"]["repaired"], 20 * 20 * 3);
-}
-
 TEST(Denoiser, LayersAddUpToTheBeauty) {
     Scene scene = Scene::full(36, 44);
     for (const char *name : {"key", "fill"})
@@ -352,66 +263,6 @@ TEST(Denoiser, LayersAddUpToTheBeauty) {
     expect_near(sum(scene.results.at("key"), scene.results.at("fill")), unsplit, 1e-5);
 }
 
-/// Black on the left, specular black everywhere, alpha constant.
-Scene half_lit() {
-    Scene scene = Scene::full(64, 64);
-    scene.buffers.at("specular") = Pixels(64, 64, 3);
-    scene.buffers.at("alpha") = Pixels(64, 64, 1, 1);
-    Pixels &diffuse = scene.buffers.at("diffuse");
-    for (int y = 0; y < 64; ++y)
-        for (int x = 0; x < 40; ++x)
-            for (int c = 0; c < 3; ++c)
-                diffuse.at(y, x, c) = 0;
-    scene.settings.tile = 16;
-    return scene;
-}
-
-std::vector<std::string> left_out(const Scene &scene) {
-    std::vector<std::string> whats;
-    for (const Json &line : scene.report["left_out"])
-        whats.push_back(line["what"]);
-    return whats;
-}
-
-using Whats = std::vector<std::string>;
-
-TEST(Denoiser, WhatIsNotNeededIsLeftOut) {
-    Scene scene = half_lit();
-    scene.settings.leave_out = parse_leave_out("none");
-    const Pixels all = scene.denoise("split-5");
-    EXPECT_EQ(left_out(scene), Whats());
-    EXPECT_EQ(scene.report["branches"], Json({"diffuse", "specular"}));
-    for (const auto &[names, whats] :
-         std::map<std::string, Whats>{{"all", {"branch specular", "8 of 16 tiles"}},
-                                      {"branches", {"branch diffuse in 8 of 16 tiles", "branch specular"}},
-                                      {"tiles", {"8 of 16 tiles"}}}) {
-        scene.settings.leave_out = parse_leave_out(names);
-        expect_near(scene.denoise("split-5"), all, 1e-5);
-        EXPECT_EQ(left_out(scene), whats) << names;
-        EXPECT_NEAR(scene.results.at("alpha").at(5, 5, 0), 1, 1e-6);
-        for (const Json &line : scene.report["left_out"])
-            EXPECT_GT(line["saved_ms"], 0) << line;
-    }
-}
-
-TEST(Denoiser, ABlackFrameRunsNothing) {
-    Scene scene = Scene::color(32, 32);
-    scene.buffers.at("color") = Pixels(32, 32, 3);
-    EXPECT_EQ(scene.denoise("single-3").values, scene.buffers.at("color").values);
-    EXPECT_EQ(left_out(scene), Whats{"branch color"});
-    EXPECT_FALSE(scene.report["left_out"][0].contains("saved_ms")); // nothing ran that could tell
-    EXPECT_EQ(scene.report["ms"]["network"], 0.0);
-}
-
-TEST(Denoiser, InputsThatAreNotReadDoNotMatter) {
-    Scene scene = Scene::color(32, 32);
-    const Pixels alone = scene.denoise("single-3");
-    scene.buffers.emplace("normal", Pixels(32, 32, 3, nan));
-    EXPECT_EQ(scene.denoise("single-3").values, alone.values);
-    EXPECT_EQ(scene.report["sanitised"]["non_finite"], 0);
-    EXPECT_EQ(scene.report["inputs"]["unused"], Json({"normal"}));
-}
-
 TEST(Denoiser, OneSampleTellsNoVariance) {
     Scene scene = Scene::full(20, 24), unknown = scene;
     for (const char *name : {"diffuse.variance", "specular.variance"})
@@ -424,87 +275,6 @@ TEST(Denoiser, OneSampleTellsNoVariance) {
     EXPECT_NE(scene.denoise("split-5").values, without.values); // known to be 0
     scene.settings.samples_per_pixel = 1;
     EXPECT_EQ(scene.denoise("split-5").values, without.values);
-}
-
-TEST(Denoiser, ConvergedTilesAreCopiedWhereAsked) {
-    // Every pixel is within its deviation of a smooth truth: of little noise on the left.
-    Scene scene = Scene::color(32, 64);
-    Pixels truth(32, 64, 3), variance(32, 64, 3);
-    std::mt19937 random(3);
-    std::normal_distribution<float> normal;
-    for (int y = 0; y < 32; ++y)
-        for (int x = 0; x < 64; ++x)
-            for (int c = 0; c < 3; ++c) {
-                truth.at(y, x, c) = 1 + 0.02f * float(x + y * c);
-                const float deviation = truth.at(y, x, c) * (x < 32 ? 0.008f : 0.1f);
-                variance.at(y, x, c) = deviation * deviation;
-                scene.buffers.at("color").at(y, x, c) = truth.at(y, x, c) + deviation * normal(random);
-            }
-    scene.buffers.emplace("variance", variance);
-    scene.settings.tile = 16;
-    const Pixels exact = scene.denoise("split-5");
-    scene.settings.leave_out = parse_leave_out("all,converged");
-    EXPECT_EQ(scene.denoise("split-5").values, exact.values); // the number of samples is not known
-    scene.settings.samples_per_pixel = 15;
-    EXPECT_EQ(scene.denoise("split-5").values, exact.values);
-    scene.settings.samples_per_pixel = 16;
-    const Pixels &copied = scene.denoise("split-5");
-    EXPECT_EQ(left_out(scene), Whats{"4 of 8 tiles"});
-    double error = 0;
-    for (int y = 0; y < 32; ++y)
-        for (int x = 0; x < 64; ++x)
-            for (int c = 0; c < 3; ++c) {
-                const float value = copied.at(y, x, c), exposed = 0.5f * truth.at(y, x, c);
-                EXPECT_EQ(value, (x < 32 ? scene.buffers.at("color") : exact).at(y, x, c));
-                const double off = x < 32 ? 0.5f * (value - truth.at(y, x, c)) : 0;
-                error += off * off / (exposed * exposed + 0.01);
-            }
-    EXPECT_LT(error / (32 * 32 * 3), converged_error); // the bound that the report states
-
-    scene.settings.leave_out = parse_leave_out("all"); // never by itself
-    EXPECT_EQ(scene.denoise("split-5").values, exact.values);
-    scene.settings.leave_out = parse_leave_out("converged");
-    scene.buffers.at("variance").at(3, 3, 0) = nan; // one that is not known
-    scene.denoise("split-5");
-    EXPECT_EQ(left_out(scene), Whats{"3 of 8 tiles"});
-}
-
-TEST(Denoiser, VerticesThatNoPathHasNeedNotBeGiven) {
-    const int height = 20, width = 24, count = 2, vertices = 2;
-    const size_t pixels = size_t(count) * height * width;
-    std::mt19937 random(5);
-    std::normal_distribution<float> normal;
-    std::vector<float> whole, part, density(pixels, -3.0f);
-    for (size_t i = 0; i < pixels; ++i)
-        for (int channel = 0; channel < 36; ++channel) {
-            const bool logs = channel < 24; // 6 of the path, 3 of each vertex; then tags, then roughness
-            const int vertex = channel < 6 ? 0 : logs ? (channel - 6) / 3 : (channel - 24) % 6;
-            whole.push_back(vertex < vertices ? normal(random) : logs ? -100.0f : 0.0f);
-            if (vertex < vertices)
-                part.push_back(whole.back());
-        }
-    ASSERT_EQ(part.size(), pixels * (6 + 5 * vertices));
-    const Pixels color = noise(height, width, 3, 1);
-    Pixels results[2] = {Pixels(height, width, 3), Pixels(height, width, 3)};
-    Denoiser denoiser(std::make_shared<const Model>(model_folder("samples-5"), "cpu", 1));
-    Json report;
-    for (int i = 0; i < 2; ++i) {
-        std::vector<float> &given = i == 0 ? whole : part;
-        const pathfold_image images[] = {
-            color.image(),
-            pathfold_packed(given.data(), PATHFOLD_FLOAT32, count, height, width,
-                            int64_t(given.size() / pixels)),
-            pathfold_packed(density.data(), PATHFOLD_FLOAT32, count, height, width, 1), results[i].image()};
-        Frame frame;
-        frame.set_input("color", &images[0]);
-        frame.set_input("samples.descriptor", &images[1]);
-        frame.set_input("samples.density", &images[2]);
-        frame.set_output("color", &images[3]);
-        report = Json::parse(denoiser.run(frame, {}));
-        EXPECT_EQ(report["left_out"].size(), size_t(i));
-    }
-    EXPECT_EQ(results[0].values, results[1].values);
-    EXPECT_EQ(report["left_out"][0]["what"], "path vertices from 3 on");
 }
 
 TEST(Denoiser, HalvesInAndOutInPlace) {

@@ -8,7 +8,6 @@
 #include "embedding.h"
 #include "error.h"
 #include "fields.h"
-#include "pyramid.h"
 
 namespace pathfold::core {
 namespace {
@@ -109,10 +108,11 @@ void read_graphs(const Field &field, Manifest &manifest) {
         manifest.embedding_channels = axes[1].integer(1, max_embedding);
         embedding["embedding"] = embedding_shape(manifest.embedding_channels);
     }
+    const std::map<std::string, Shape> predicted = make_operator(manifest.reconstruction)->outputs();
     bool read = embedding.empty();
     for (const auto &[name, item] : field.members()) {
         const bool embeds = name == "embedding";
-        Graph graph = read_graph(item, embeds ? embedding : manifest.outputs(), manifest.embedding_channels);
+        Graph graph = read_graph(item, embeds ? embedding : predicted, manifest.embedding_channels);
         if (embeds)
             check_embedding(item, graph);
         else
@@ -157,16 +157,21 @@ Branch read_branch(const Field &field) {
 }
 
 void read_reconstruction(const Field &field, Manifest &manifest) {
-    manifest.pyramid = field.at("operator").one_of({"gather", "pyramid"}) == "pyramid";
-    if (manifest.pyramid) {
-        field.keys({"operator", "branches"});
-    } else {
-        field.keys({"operator", "size", "trust", "branches"});
-        manifest.kernel_size = int(field.at("size").integer(1, max_kernel));
-        if (manifest.kernel_size % 2 == 0)
+    Reconstruction &how = manifest.reconstruction;
+    std::set<std::string> names;
+    for (const auto &[name, kind] : operators())
+        names.insert(name);
+    how.name = field.at("operator").one_of(names);
+    const OperatorKind &kind = operators().at(how.name);
+    std::set<std::string> keys = kind.options;
+    keys.insert({"operator", "branches"});
+    field.keys(keys);
+    if (kind.options.count("size") > 0) {
+        how.size = int(field.at("size").integer(1, max_kernel));
+        if (how.size % 2 == 0)
             field.at("size").wrong("odd");
-        manifest.trust = field.has("trust") && field.at("trust").boolean();
     }
+    how.trust = field.has("trust") && field.at("trust").boolean();
     const Field branches = field.at("branches");
     for (const Field &item : branches.items())
         manifest.branches.push_back(read_branch(item));
@@ -181,13 +186,14 @@ void read_reconstruction(const Field &field, Manifest &manifest) {
     std::set<std::string> radiance;
     for (const Branch &branch : manifest.branches) {
         radiance.insert(branch.radiance);
-        if (branch.clean && !(manifest.pyramid && branch.unsplit))
+        if (branch.clean && !(kind.cleans && branch.unsplit))
             branches.wrong("without \"clean\" but in a pyramid's branch with \"unsplit\"");
     }
     const bool known = radiance == std::set<std::string>{"color"} ||
                        radiance == std::set<std::string>{"diffuse", "specular"};
     if (!known || radiance.size() != manifest.branches.size())
         branches.wrong("one branch with the radiance color, or two with diffuse and specular");
+    how.clean = whole.clean;
 }
 
 /// The buffer behind a graph input; empty for scalars and flags.
@@ -239,32 +245,6 @@ const Branch &Manifest::unsplit_branch() const {
     return *std::find_if(branches.begin(), branches.end(), [](const Branch &b) { return b.unsplit; });
 }
 
-int Manifest::reach() const {
-    if (!pyramid)
-        return kernel_size / 2;
-    return Pyramid::reach() + (unsplit_branch().clean ? Pyramid::reach(Pyramid::factor_levels) : 0);
-}
-
-std::map<std::string, Shape> Manifest::outputs() const {
-    const auto logits = [](int64_t channels, const std::string &part) {
-        return Shape{{1, ""}, {channels, ""}, {-1, "H" + part}, {-1, "W" + part}};
-    };
-    if (!pyramid)
-        return {{"logits", logits(logit_channels(), "")}};
-    constexpr int64_t level = PyramidLogits::channels;
-    std::map<std::string, Shape> shapes{
-        {"trust", logits(4, "/2")},
-        {"logits.2", logits(4 * level + level, "/2")}, // four pixels of the finest level, then the next one
-        {"logits.4", logits(level, "/4")},
-        {"logits.8", logits(level, "/8")},
-        {"logits.16", logits(PyramidLogits::coarsest_channels, "/16")}};
-    if (unsplit_branch().clean) {
-        shapes["cleaning.2"] = shapes["logits.2"];
-        shapes["cleaning.4"] = logits(PyramidLogits::coarsest_channels, "/4");
-    }
-    return shapes;
-}
-
 bool Manifest::reads(const std::string &buffer) const {
     const auto in = [&](const std::vector<std::string> &names) {
         return std::find(names.begin(), names.end(), buffer) != names.end();
@@ -299,13 +279,12 @@ Manifest Manifest::parse(const std::string &text) {
     manifest.exposure_key = float(exposure.at("key").number(1e-3, 1e3));
     const Field tile = root.at("tile").keys({"alignment", "overlap"});
     manifest.tile_alignment = int(tile.at("alignment").integer(1, 1024));
-    static_assert(Pyramid::alignment == Embedding::alignment);
-    if ((manifest.pyramid || manifest.embedding_channels > 0) &&
-        manifest.tile_alignment % Pyramid::alignment != 0)
-        tile.at("alignment").wrong("a multiple of ", Pyramid::alignment, " for a pyramid or an embedding");
-    // a trusted pixel's own number is read wherever a kernel reaches
-    const bool trust = manifest.trust || manifest.pyramid;
-    manifest.tile_overlap = int(tile.at("overlap").integer(trust ? manifest.reach() : 0, 4096));
+    const std::unique_ptr<Operator> how = make_operator(manifest.reconstruction);
+    const int aligned =
+        std::max(how->alignment(), manifest.embedding_channels > 0 ? Embedding::alignment : 1);
+    if (manifest.tile_alignment % aligned != 0)
+        tile.at("alignment").wrong("a multiple of ", aligned, " for a pyramid or an embedding");
+    manifest.tile_overlap = int(tile.at("overlap").integer(how->least_overlap(), 4096));
     const Field samples = root.at("samples_per_pixel").keys({"min", "max", "embedded", "without_paths"});
     manifest.min_samples = samples.at("min").integer(1, 1 << 30);
     manifest.max_samples = samples.at("max").integer(manifest.min_samples, 1 << 30);

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "operator.h"
 #include "shape.h"
 
 namespace pathfold::core {
@@ -35,9 +36,7 @@ struct Manifest {
     std::map<std::string, Graph> graphs;     ///< of branches, and "embedding" where there is one; float32
     std::map<std::string, Variant> variants; ///< by their precision, which is "int8"
     int64_t embedding_channels = 0;          ///< of what that graph makes of samples; 0: there is none
-    int kernel_size = 0;
-    bool pyramid = false; ///< kernels on five levels instead of one, see pyramid.h
-    bool trust = false;   ///< whether networks predict a shift per pixel too, after the kernels' logits
+    Reconstruction reconstruction;
     std::vector<Branch> branches;
     float exposure_key = 0.18f;
     int tile_alignment = 1, tile_overlap = 0;
@@ -46,10 +45,7 @@ struct Manifest {
     int64_t without_paths = 0; ///< samples per pixel from which on it does as well without paths; 0: unknown
 
     const Branch &unsplit_branch() const;
-    int64_t logit_channels() const { return int64_t(kernel_size) * kernel_size + (trust ? 1 : 0); }
-    int reach() const; ///< how many pixels away a value can be that a result depends on
-    std::map<std::string, Shape> outputs() const; ///< what its graphs must give
-    bool reads(const std::string &buffer) const;  ///< whether the model requires or can use it
+    bool reads(const std::string &buffer) const; ///< whether the model requires or can use it
 
     /// Throws invalid-model (unsupported for a newer format), naming the key, what it is, what it must be.
     static Manifest parse(const std::string &text);

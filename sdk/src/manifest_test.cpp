@@ -28,7 +28,7 @@ void expect_wrong(const std::string &text, const Words &...words) {
 TEST(Manifest, IsRead) {
     const Manifest manifest = Manifest::parse(good().dump());
     EXPECT_EQ(manifest.name, "split-5");
-    EXPECT_EQ(manifest.kernel_size, 5);
+    EXPECT_EQ(manifest.reconstruction.size, 5);
     EXPECT_EQ(manifest.branches.size(), 2u);
     EXPECT_EQ(manifest.branches[0].demodulate_by, "diffuse.albedo");
     EXPECT_EQ(manifest.unsplit_branch().name, "specular");

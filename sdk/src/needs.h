@@ -8,12 +8,6 @@
 
 namespace pathfold::core {
 
-/// Something that was not computed, and why the result is the same without it.
-struct LeftOut {
-    std::string what, why;
-    double saved_ms = -1; ///< by the mean time of what was computed; negative: not known
-};
-
 /// The expected RelL2 at which a tile has converged.
 constexpr double converged_error = 1e-4;
 

@@ -64,16 +64,6 @@ int Packer::channels_of(const std::string &input) const {
     return int(input == "embedding" ? model_.manifest().embedding_channels : input_shape(input)[1].size);
 }
 
-int64_t Packer::floats_per_pixel() const {
-    int64_t floats = 0;
-    for (const std::string &name : names_)
-        if (name == "embedding")
-            floats += (channels_of(name) + 3) / 4;
-        else if (!is_scalar(name))
-            floats += channels_of(name) * (is_samples(name) ? samples_ : 1);
-    return floats;
-}
-
 bool Packer::in_core(int x, int y) const {
     const Rect &core = tile_.core;
     return x >= core.x && x < core.x + core.width && y >= core.y && y < core.y + core.height;

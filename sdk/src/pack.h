@@ -36,9 +36,6 @@ public:
     /// What was found and set right so far; each pixel is counted by the tile whose core it is in.
     const Counts &counts() const { return counts_; }
 
-    /// Floats per pixel that the inputs take, for the tile plan.
-    int64_t floats_per_pixel() const;
-
 private:
     using Names = std::set<std::string>;
 

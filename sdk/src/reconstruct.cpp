@@ -1,6 +1,7 @@
 #include "reconstruct.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 #undef HWY_TARGET_INCLUDE
@@ -166,6 +167,36 @@ void gather(Threads &threads, const Logits &logits, const Neighbourhood &source,
         for (int y = begin; y != end; ++y)
             HWY_DYNAMIC_DISPATCH(GatherRow)(logits, source, y, scratch.data(), result);
     });
+}
+
+void gather_image(Threads &threads, const ImageView &image, const float *logits, int radius,
+                  const ImageView &result) {
+    const int height = image.height(), width = image.width(), channels = image.channels();
+    const size_t pixels = size_t(height) * width, taps = size_t(2 * radius + 1) * (2 * radius + 1);
+    std::vector<float> row(size_t(width) * channels);
+    Neighbourhood source;
+    source.reset(channels, height, width, radius);
+    for (int y = 0; y < height; ++y) {
+        image.load_row(0, y, 0, width, row.data());
+        for (int x = 0; x < width; ++x) {
+            const float *pixel = row.data() + size_t(x) * channels;
+            if (!std::all_of(pixel, pixel + channels, [](float value) { return std::isfinite(value); }))
+                continue;
+            source.shift_row(y)[radius + x] = 0;
+            for (int c = 0; c < channels; ++c)
+                source.row(c, y)[radius + x] = pixel[c];
+        }
+    }
+    source.finish();
+    std::vector<float> copy(logits, logits + taps * pixels), gathered(pixels * channels);
+    copy.resize(copy.size() + gather_slack);
+    gather(threads, {copy.data(), pixels, size_t(width)}, source, gathered.data());
+    for (int y = 0; y < height; ++y) {
+        for (int c = 0; c < channels; ++c)
+            for (int x = 0; x < width; ++x)
+                row[size_t(x) * channels + c] = gathered[size_t(c) * pixels + size_t(y) * width + x];
+        result.store_row(y, 0, width, row.data());
+    }
 }
 
 } // namespace pathfold::core

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "image.h"
 #include "parallel.h"
 
 namespace pathfold::core {
@@ -66,5 +67,10 @@ constexpr size_t gather_slack = gather_block;
 /// correlation, taps row by row, size 2 * radius + 1. A pixel without a valid tap becomes 0; one whose logits
 /// are all NaN, or of which one is infinite, becomes NaN.
 void gather(Threads &threads, const Logits &logits, const Neighbourhood &source, float *result);
+
+/// The same for a whole image whose pixels are valid where their values are finite; packed logits
+/// [tap][height][width]. The result has the image's size and channels.
+void gather_image(Threads &threads, const ImageView &image, const float *logits, int radius,
+                  const ImageView &result);
 
 } // namespace pathfold::core

@@ -1,13 +1,17 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
+#include <map>
 #include <string>
 #include <vector>
 
 #include "frame.h"
 #include "model.h"
-#include "needs.h"
+#include "plan.h"
 #include "prepare.h"
+#include "reads.h"
+#include "settings.h"
 #include "tiles.h"
 
 namespace pathfold::core {
@@ -34,19 +38,26 @@ struct Times {
     double total() const { return prepare + needs + embedding + pack + network + reconstruct + write; }
 };
 
+/// Tiles, and the pixels of their windows.
+struct Work {
+    size_t tiles = 0;
+    double pixels = 0;
+
+    void add(const Tile &tile) { ++tiles, pixels += double(tile.window.width) * tile.window.height; }
+};
+
 /// What one run used, left out and spent.
 struct Report {
-    std::vector<std::string> branches; ///< that ran
-    std::vector<LeftOut> left_out;
-    std::vector<std::string> notes;
-    size_t tiles = 0;
-    int tile_width = 0, tile_height = 0; ///< of the largest core
     Times times;
-    Counts counts;
+    Counts counts;                                     ///< beside what preparing the frame counted
+    std::vector<Work> done;                            ///< per branch
+    std::vector<std::map<std::string, Work>> left_out; ///< per branch: not done, by what it was left out for
+
+    explicit Report(size_t branches) : done(branches), left_out(branches) {}
 
     /// As JSON text.
-    std::string json(const Frame &frame, const Reads &reads, const Model &model,
-                     const Prepared &prepared) const;
+    std::string json(const Frame &frame, const Reads &reads, const Model &model, const Settings &settings,
+                     const Prepared &prepared, const Plan &plan) const;
 };
 
 } // namespace pathfold::core

@@ -93,6 +93,36 @@ def make_graph(inputs: list[str], taps: int, seed: int, spread: float = 1.0, int
     return model
 
 
+def make_pyramid_graph(inputs: list[str], outputs: dict[str, Shape], seed: int) -> onnx.ModelProto:
+    """Each output is a convolution of log(1 + exposure * radiance), padded to multiples of 16, as wide as its step."""
+    rng = np.random.default_rng(seed)
+    nodes, initializers = [], []
+
+    def node(kind: str, *ports: str, **attributes: object) -> str:
+        nodes.append(helper.make_node(kind, list(ports), [f"{kind}:{len(nodes)}"], **attributes))
+        return str(nodes[-1].output[0])
+
+    def constant(values: object) -> str:
+        initializers.append(numpy_helper.from_array(np.asarray(values), f"constant:{len(initializers)}"))
+        return str(initializers[-1].name)
+
+    features = node("Log", node("Add", node("Mul", "radiance", "exposure"), constant(np.float32(1))))
+    size = node("Slice", node("Shape", "radiance"), constant([2]), constant([4]))
+    missing = node("Mod", node("Sub", constant([0, 0]), size), constant([16]))
+    padded = node("Pad", features, node("Concat", constant([0] * 6), missing, axis=0))
+    for name, shape in outputs.items():
+        step = int(str(shape[2]).removeprefix("H/"))
+        weights = rng.normal(0, 1 / step, (int(shape[1]), 3, step, step)).astype(np.float32)
+        last = node("Conv", padded, constant(weights), strides=[step, step])
+        nodes.append(helper.make_node("Identity", [last], [name]))
+    ports = [helper.make_tensor_value_info(name, TensorProto.FLOAT, BUFFERS[name]) for name in inputs]
+    results = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [None] * 4) for name in outputs]
+    graph = helper.make_graph(nodes, "network", ports, results, initializers)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    onnx.checker.check_model(model)
+    return model
+
+
 def write_model(
     folder: Path,
     graphs: dict[str, tuple[onnx.ModelProto, list[str]]],
@@ -163,6 +193,25 @@ def make_split(folder: Path, size: int, samples: bool) -> None:
     write_model(folder, graphs, branches, size, requires, uses)
 
 
+def make_pyramid(folder: Path) -> None:
+    """A pyramid that divides by an albedo, which it cleans."""
+    inputs = ["radiance", "exposure"]
+    sizes = {"trust.2": 4, "logits.2": 150, "logits.4": 30, "logits.8": 30, "logits.16": 25}
+    sizes |= {"cleaning.2": 150, "cleaning.4": 25}
+    outputs: dict[str, Shape] = {}
+    for name, channels in sizes.items():
+        step = name.rpartition(".")[2]
+        outputs[name.replace("trust.2", "trust")] = [1, channels, f"H/{step}", f"W/{step}"]
+    demodulate = {"by": "albedo", "epsilon": 0.01, "clean": True}
+    branch = {"name": "color", "graph": "color", "radiance": "color", "demodulate": demodulate, "unsplit": True}
+    write_model(folder, {"color": (make_pyramid_graph(inputs, outputs, 7), inputs)}, [branch], 1, ["color"], ["albedo"])
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["reconstruction"] = {"operator": "pyramid", "branches": [branch]}
+    manifest["graphs"]["color"]["outputs"] = outputs
+    manifest["tile"] = {"alignment": 16, "overlap": 80}
+    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2))
+
+
 def make_quantised(folder: Path, size: int) -> None:
     """make_single with its graph in int8, too."""
     make_single(folder, size)
@@ -212,6 +261,7 @@ def main(root: Path) -> None:
     make_single(root / "trust-5", 5, spread=3.0, trust=True)
     make_single(root / "steep-5", 5, spread=1e5)
     make_single(root / "broken-3", 3, spread=np.inf)  # all logits are NaN
+    make_pyramid(root / "pyramid")
     make_quantised(root / "quantised-3", 3)
     make_split(root / "split-5", 5, samples=False)
     make_split(root / "samples-5", 5, samples=True)
