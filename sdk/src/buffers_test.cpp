@@ -1,0 +1,22 @@
+#include "buffers.h"
+
+#include <set>
+
+#include "testing.h"
+
+namespace pathfold::core {
+
+TEST(Buffers, AreFoundByName) {
+    std::set<std::string> names;
+    for (const BufferKind &kind : buffer_kinds()) {
+        EXPECT_TRUE(names.insert(kind.name).second) << kind.name;
+        EXPECT_EQ(find_buffer(kind.name), &kind);
+        EXPECT_EQ(kind.per_sample, std::string(kind.name).rfind("samples.", 0) == 0) << kind.name;
+        EXPECT_NE(buffer_names().find(kind.name), std::string::npos);
+    }
+    EXPECT_EQ(find_buffer("albedo")->channels, 3);
+    EXPECT_EQ(find_buffer("colour"), nullptr);
+    EXPECT_EQ(find_buffer(""), nullptr);
+}
+
+} // namespace pathfold::core
