@@ -2,7 +2,9 @@
 #include <new>
 #include <string>
 
+#include "buffers.h"
 #include "denoiser.h"
+#include "descriptor.h"
 #include "engine.h"
 #include "error.h"
 #include "model.h"
@@ -138,6 +140,18 @@ const char *pathfold_model_folder(const pathfold_model *model) {
 
 const char *pathfold_model_precision(const pathfold_model *model) {
     return model != nullptr ? model->model->precision().c_str() : "";
+}
+
+const pathfold_buffer *pathfold_buffers(size_t *count) {
+    if (count != nullptr)
+        *count = buffer_kinds().size();
+    return buffer_kinds().data();
+}
+
+pathfold_status pathfold_describe_path(const pathfold_path *path, int vertices, float *descriptor,
+                                       float *density) {
+    return guarded(
+        [&] { describe_path(given(path, "path"), vertices, &given(descriptor, "descriptor"), density); });
 }
 
 pathfold_status pathfold_denoiser_create(const pathfold_model *model, pathfold_denoiser **denoiser) {

@@ -4,20 +4,20 @@ namespace pathfold::core {
 
 const std::vector<BufferKind> &buffer_kinds() {
     static const std::vector<BufferKind> kinds = {
-        {"color", 3, false},
-        {"diffuse", 3, false},
-        {"specular", 3, false},
-        {"diffuse.albedo", 3, false},
-        {"albedo", 3, false},
-        {"normal", 3, false},
-        {"depth", 1, false},
-        {"alpha", 1, false},
-        {"variance", 3, false},
-        {"diffuse.variance", 3, false},
-        {"specular.variance", 3, false},
-        {"samples.descriptor", 36, true},
-        {"samples.density", 1, true},
-        {"samples.valid", 1, true},
+        {"color", 3, 0},
+        {"diffuse", 3, 0},
+        {"specular", 3, 0},
+        {"diffuse.albedo", 3, 0},
+        {"albedo", 3, 0},
+        {"normal", 3, 0},
+        {"depth", 1, 0},
+        {"alpha", 1, 0},
+        {"variance", 3, 0},
+        {"diffuse.variance", 3, 0},
+        {"specular.variance", 3, 0},
+        {"samples.descriptor", pathfold_descriptor_layout(PATHFOLD_MAX_VERTICES).channels, 1},
+        {"samples.density", 1, 1},
+        {"samples.valid", 1, 1},
     };
     return kinds;
 }

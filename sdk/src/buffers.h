@@ -3,23 +3,12 @@
 #include <string>
 #include <vector>
 
+#include "pathfold/pathfold.h"
+
 namespace pathfold::core {
 
-/// A buffer that a frame may have: its name is the same in C, C++, Python, EXR, manifest and graph.
-struct BufferKind {
-    const char *name;
-    int channels;
-    bool per_sample;
-};
-
-/// A path descriptor has 6 channels for the path and 5 for each of up to 6 vertices.
-constexpr int descriptor_vertices = 6;
-
-/// The vertices that a descriptor of so many channels describes; 0 where it is none.
-constexpr int vertices_of(int channels) {
-    const int vertices = (channels - 6) / 5;
-    return channels == 6 + 5 * vertices && vertices >= 1 && vertices <= descriptor_vertices ? vertices : 0;
-}
+/// Its name is the same in C, C++, Python, EXR, manifest and graph.
+using BufferKind = pathfold_buffer;
 
 /// All known buffers.
 const std::vector<BufferKind> &buffer_kinds();

@@ -29,9 +29,12 @@ void Frame::set_input(const std::string &name, const pathfold_image *image) {
         return;
     }
     const ImageView view(*image, name);
-    if (name == "samples.descriptor" && vertices_of(view.channels()) == 0)
-        fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", view.size_text(), "; ", name,
-             " has 6 channels and 5 for each of 1 to ", descriptor_vertices, " vertices, 36 in all");
+    if (name == "samples.descriptor" && pathfold_descriptor_vertices(view.channels()) == 0) {
+        const int none = pathfold_descriptor_layout(0).channels, one = pathfold_descriptor_layout(1).channels;
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", view.size_text(), "; ", name, " has ", none,
+             " channels and ", one - none, " for each of 1 to ", PATHFOLD_MAX_VERTICES, " vertices, ",
+             kind->channels, " in all");
+    }
     if (name != "samples.descriptor")
         expect_channels(view, kind->channels, name);
     if (!kind->per_sample && view.samples() != 1)

@@ -8,29 +8,12 @@
 #include <oneapi/tbb/combinable.h>
 
 #include "buffers.h"
+#include "descriptor.h"
 
 namespace pathfold::core {
 namespace {
 
-constexpr float dead_log = -100.0f; // the descriptor's sentinel for the log of 0
-constexpr int descriptor_logs = 24; // channels 0 to 23 are logs, the rest tags and roughness
-
 bool is_scalar(const std::string &input) { return input_shape(input).size() == 1; }
-
-/// Spreads descriptors of some vertices, in place, to those of all: what no path has is dead.
-void add_vertices(float *pixels, int count, int vertices) {
-    const int given = 6 + 5 * vertices, channels = 6 + 5 * descriptor_vertices;
-    for (int x = count - 1; x >= 0 && vertices < descriptor_vertices; --x) {
-        const std::vector<float> in(pixels + size_t(x) * given, pixels + size_t(x + 1) * given);
-        float *out = pixels + size_t(x) * channels;
-        std::fill_n(out, descriptor_logs, dead_log);
-        std::fill_n(out + descriptor_logs, channels - descriptor_logs, 0.0f);
-        const float *tags = in.data() + 6 + 3 * vertices;
-        std::copy(in.data(), tags, out);
-        std::copy_n(tags, vertices, out + descriptor_logs);
-        std::copy_n(tags + vertices, vertices, out + descriptor_logs + descriptor_vertices);
-    }
-}
 
 /// On the bits, so that it runs as vectors.
 bool all_finite(const float *values, int count) {
@@ -220,7 +203,8 @@ void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, i
     float *valid = density + window.width;
     read("samples.descriptor", channels, 0.0f, descriptor);
     if (reads_.has("samples.descriptor"))
-        add_vertices(descriptor, window.width, vertices_of(frame_.input("samples.descriptor").channels()));
+        add_vertices(descriptor, window.width,
+                     pathfold_descriptor_vertices(frame_.input("samples.descriptor").channels()));
     read("samples.density", 1, 0.0f, density);
     // Without any samples there is one that says nothing.
     read("samples.valid", 1, reads_.samples > 0 ? 1.0f : 0.0f, valid);
@@ -231,8 +215,7 @@ void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, i
             std::isfinite(density[x]) && std::isfinite(valid[x]) && all_finite(values, channels);
         valid[x] = finite && valid[x] > 0.5f ? 1.0f : 0.0f;
         if (valid[x] == 0) {
-            std::fill_n(values, descriptor_logs, dead_log);
-            std::fill_n(values + descriptor_logs, channels - descriptor_logs, 0.0f);
+            clear_descriptor(values);
             density[x] = 0;
         }
         counts.samples_dropped += !finite && in_core(window.x + x, window.y + row);

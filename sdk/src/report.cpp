@@ -4,7 +4,6 @@
 
 #include <nlohmann/json.hpp>
 
-#include "buffers.h"
 #include "error.h"
 #include "needs.h"
 
@@ -85,11 +84,11 @@ Json describe_inputs(const Frame &frame, const Manifest &manifest, const Reads &
 
 /// Vertices of paths that are not given: what reading them would have taken, by what reading radiance took.
 void add_vertices(const ImageView &descriptor, const Prepared &prepared, Json &lines) {
-    const int vertices = vertices_of(descriptor.channels());
-    if (vertices == descriptor_vertices)
+    const int vertices = pathfold_descriptor_vertices(descriptor.channels());
+    if (vertices == PATHFOLD_MAX_VERTICES)
         return;
-    const double values = double(descriptor.samples()) * 5 * (descriptor_vertices - vertices) *
-                          descriptor.width() * descriptor.height();
+    const int missing = pathfold_descriptor_layout(PATHFOLD_MAX_VERTICES).channels - descriptor.channels();
+    const double values = double(descriptor.samples()) * missing * descriptor.width() * descriptor.height();
     lines.push_back(line(text("path vertices from ", vertices + 1, " on"),
                          "no path of the frame has them: they are not given",
                          prepared.load_ms / prepared.loaded * values));

@@ -123,6 +123,102 @@ static inline pathfold_image pathfold_packed(void *data, pathfold_format format,
     return image;
 }
 
+/* A buffer that a frame may have. */
+typedef struct pathfold_buffer {
+    const char *name;
+    int32_t channels;   /* at most: a descriptor may have fewer */
+    int32_t per_sample; /* 1: of every camera sample, 0: of every pixel */
+} pathfold_buffer;
+
+/* All `count` buffers; they live as long as the library. */
+PATHFOLD_API const pathfold_buffer *pathfold_buffers(size_t *count);
+
+/* ---- Path descriptors --------------------------------------------------------------------------------- */
+
+/* What a renderer tells of a camera sample's path: "samples.descriptor" and "samples.density". Of all the
+ * light that a path gathers, by hitting emitters and by sampling them, it is that along the one way which
+ * brings most, by luminance; of a path that finds none it is the walk as it went. */
+
+/* Vertices that a descriptor can hold; later ones are left out. */
+#define PATHFOLD_MAX_VERTICES 6
+
+/* Stands for the natural logarithm of 0. Smaller values than PATHFOLD_LEAST_VALUE, but for 0, count as it. */
+#define PATHFOLD_DEAD_LOG (-100.0f)
+#define PATHFOLD_LEAST_VALUE 1e-30f
+
+/* How a path went on at a vertex. Glossy lobes are rough ones that are not diffuse, delta lobes are mirrors
+ * and clear glass; at a light sample it is the lobe that reflects most of it. */
+typedef enum pathfold_kind {
+    PATHFOLD_KIND_NONE = 0,    /* no vertex: the path has ended */
+    PATHFOLD_KIND_GENERIC = 3, /* not known, or none of these: in a medium for example */
+    PATHFOLD_KIND_DIFFUSE_REFLECTION = 5,
+    PATHFOLD_KIND_DIFFUSE_TRANSMISSION = 6,
+    PATHFOLD_KIND_GLOSSY_REFLECTION = 9,
+    PATHFOLD_KIND_GLOSSY_TRANSMISSION = 10,
+    PATHFOLD_KIND_DELTA_REFLECTION = 17,
+    PATHFOLD_KIND_DELTA_TRANSMISSION = 18
+} pathfold_kind;
+
+/* A vertex where a path was scattered. A surface that lets it pass straight on, an alpha mask for example, is
+ * none: its weight is multiplied into the attenuation of the next vertex, or into the light where none comes.
+ */
+typedef struct pathfold_vertex {
+    float attenuation[3]; /* RGB, >= 0: BSDF times |cosine|, of a delta lobe its reflectance; not divided by a
+                             density, with the weight of what let the path pass before it. Not known: 1 */
+    int32_t kind;         /* a pathfold_kind. Not known: PATHFOLD_KIND_GENERIC */
+    float roughness; /* in [0, 1]: alpha of the microfacets, 0 of delta lobes, 1 of diffuse ones. Not known: 0
+                      */
+    float density;   /* >= 0, per steradian: with which the next direction was sampled, from the lobes or
+                        towards the emitter, or the probability of a delta lobe; times that of surviving
+                        Russian roulette. Not known: 1 */
+} pathfold_vertex;
+
+typedef struct pathfold_path {
+    float
+        light[3]; /* RGB radiance, >= 0, that the emitter sends towards the last vertex; 0: none was found */
+    int32_t vertex_count;            /* of all vertices up to that light, whether they are recorded or not */
+    const pathfold_vertex *vertices; /* from the camera on; at least the recorded ones of vertex_count. A
+                                        light sample ends its path with a vertex of its own */
+} pathfold_path;
+
+/* Where the channels of a descriptor lie: the first of each kind. */
+typedef struct pathfold_layout {
+    int32_t radiance;    /* RGB: ln of light times all attenuations */
+    int32_t light;       /* RGB: ln */
+    int32_t attenuation; /* RGB of each vertex: ln. Logarithms end where kinds begin */
+    int32_t kind;        /* of each vertex, 0 where the path has ended */
+    int32_t roughness;   /* of each vertex, 0 where the path has ended */
+    int32_t channels;    /* of the whole descriptor */
+} pathfold_layout;
+
+/* The layout of descriptors of 1 to PATHFOLD_MAX_VERTICES vertices. */
+static inline pathfold_layout pathfold_descriptor_layout(int vertices) {
+    pathfold_layout layout;
+    layout.radiance = 0;
+    layout.light = 3;
+    layout.attenuation = 6;
+    layout.kind = 6 + 3 * vertices;
+    layout.roughness = 6 + 4 * vertices;
+    layout.channels = 6 + 5 * vertices;
+    return layout;
+}
+
+/* The vertices that a descriptor of so many channels holds; 0 where it is none. */
+static inline int pathfold_descriptor_vertices(int64_t channels) {
+    int vertices;
+    for (vertices = 1; vertices <= PATHFOLD_MAX_VERTICES; ++vertices)
+        if (pathfold_descriptor_layout(vertices).channels == channels)
+            return vertices;
+    return 0;
+}
+
+/* Fills in a path: the channels of a descriptor of `vertices` vertices, float32 side by side, and the density
+ * (may be null), the sum of the recorded vertices' ln(density).
+ * PATHFOLD_INVALID_ARGUMENT: a value is out of its range. What is not finite stays so: such a sample is
+ * dropped and counted when a frame is denoised. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_describe_path(const pathfold_path *path, int vertices,
+                                                                      float *descriptor, float *density);
+
 /* ---- Denoiser ----------------------------------------------------------------------------------------- */
 
 /* One model applied to frames; keeps its working memory between frames. One thread at a time. */

@@ -61,6 +61,13 @@ inline Image samples(const float *data, int64_t count, int64_t height, int64_t w
     return pathfold_packed(const_cast<float *>(data), PATHFOLD_FLOAT32, count, height, width, channels);
 }
 
+/// Fills in one path: the channels of its descriptor, and its density unless null; see
+/// pathfold_describe_path.
+inline void describe_path(const pathfold_path &path, float *descriptor, float *density,
+                          int vertices = PATHFOLD_MAX_VERTICES) {
+    check(pathfold_describe_path(&path, vertices, descriptor, density));
+}
+
 /// A model folder, checked and loaded. Immutable; copies share it, on any number of threads.
 class Model {
 public:
