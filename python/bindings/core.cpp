@@ -210,7 +210,7 @@ void translate(std::exception_ptr pointer) {
 pathfold::Model load_model(const std::string &folder, const std::string &provider, int threads,
                            const std::string &precision) {
     py::gil_scoped_release release;
-    return pathfold::Model(folder, provider, threads, precision);
+    return pathfold::Model(folder, {provider, precision, threads});
 }
 
 auto manifest_entry(const char *key) {

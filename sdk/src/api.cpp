@@ -1,3 +1,4 @@
+#include <cstring>
 #include <memory>
 #include <new>
 #include <string>
@@ -69,6 +70,19 @@ std::string given_text(const char *argument, const char *name) {
     return argument;
 }
 
+/// Copies what both sides know of a struct that starts with its size, which `to` keeps. A caller built with a
+/// newer header may ask for more than this library has.
+template <typename Struct>
+void copy_known(const Struct &from, Struct &to, const char *name) {
+    const size_t size = from.size;
+    if (size < sizeof(size_t) || size > sizeof(Struct))
+        fail(size > sizeof(Struct) ? PATHFOLD_UNSUPPORTED : PATHFOLD_INVALID_ARGUMENT, name, ": size is ",
+             size, "; this pathfold, ", pathfold_version(), ", knows up to ", sizeof(Struct),
+             "; set it with pathfold_..._init");
+    std::memcpy(&to, &from, size);
+    to.size = sizeof(Struct);
+}
+
 } // namespace
 
 const char *pathfold_status_name(pathfold_status status) {
@@ -97,7 +111,12 @@ const char *pathfold_status_name(pathfold_status status) {
 
 const char *pathfold_last_error(void) { return last_error.c_str(); }
 
-const char *pathfold_version(void) { return PATHFOLD_VERSION; }
+#define TEXT_OF(number) #number
+#define VERSION_TEXT(major, minor, patch) TEXT_OF(major) "." TEXT_OF(minor) "." TEXT_OF(patch)
+
+const char *pathfold_version(void) {
+    return VERSION_TEXT(PATHFOLD_VERSION_MAJOR, PATHFOLD_VERSION_MINOR, PATHFOLD_VERSION_PATCH);
+}
 
 pathfold_status pathfold_set_onnxruntime(const char *path) {
     return guarded([&] { set_onnxruntime(given_text(path, "path")); });
@@ -115,16 +134,19 @@ pathfold_status pathfold_find_model(const char *name, const char *const *folders
     });
 }
 
-pathfold_status pathfold_model_load(const char *name, const char *provider, int threads,
-                                    const char *precision, pathfold_model **model) {
+pathfold_status pathfold_model_load(const char *name, const pathfold_model_options *options,
+                                    pathfold_model **model) {
     return guarded([&] {
         given(model, "model");
-        if (threads < 0 || threads > 1024)
-            fail(PATHFOLD_INVALID_ARGUMENT, "threads is ", threads,
+        pathfold_model_options chosen = pathfold_model_options_init();
+        if (options != nullptr)
+            copy_known(*options, chosen, "options");
+        if (chosen.threads < 0 || chosen.threads > 1024)
+            fail(PATHFOLD_INVALID_ARGUMENT, "threads is ", chosen.threads,
                  "; it must be from 1 to 1024, or 0 for all");
-        *model = new pathfold_model{
-            std::make_shared<const Model>(given_text(name, "name"), provider != nullptr ? provider : "cpu",
-                                          threads, precision != nullptr ? precision : "auto")};
+        *model = new pathfold_model{std::make_shared<const Model>(
+            given_text(name, "name"), chosen.provider != nullptr ? chosen.provider : "cpu", chosen.threads,
+            chosen.precision != nullptr ? chosen.precision : "auto")};
     });
 }
 
@@ -218,6 +240,25 @@ void pathfold_denoiser_set_progress(pathfold_denoiser *denoiser, pathfold_progre
         denoiser->settings.progress = [=](float done) { return progress(user, done) != 0; };
 }
 
+pathfold_status pathfold_denoiser_plan(const pathfold_denoiser *denoiser, pathfold_plan *plan) {
+    return guarded([&] {
+        const pathfold_denoiser &at = given(denoiser, "denoiser");
+        pathfold_plan &result = given(plan, "plan");
+        pathfold_plan known = pathfold_plan_init();
+        copy_known(result, known, "plan");
+        const Plan found = at.denoiser.plan(at.frame, at.settings);
+        known.size = result.size;
+        known.tile_width = found.tiles[0].core.width;
+        known.tile_height = found.tiles[0].core.height;
+        known.tiles = int64_t(found.tiles.size());
+        known.window_pixels = found.window_pixels;
+        known.pixels = found.pixels;
+        known.window_bytes = found.window_bytes;
+        known.frame_bytes = found.frame_bytes;
+        std::memcpy(&result, &known, known.size);
+    });
+}
+
 pathfold_status pathfold_denoiser_run(pathfold_denoiser *denoiser) {
     return guarded([&] {
         pathfold_denoiser &at = given(denoiser, "denoiser");
@@ -235,6 +276,7 @@ pathfold_status pathfold_auto_exposure(const pathfold_image *color, float *expos
         Frame frame;
         frame.set_input("color", &given(color, "color"));
         const ImageView &view = frame.input("color");
+        view.expect_data("color");
         std::vector<uint8_t> valid(size_t(view.width()) * view.height(), 1);
         Threads threads;
         Counts counts;
@@ -247,6 +289,8 @@ pathfold_status pathfold_gather(const pathfold_image *image, const float *logits
                                 const pathfold_image *result) {
     return guarded([&] {
         const ImageView view(given(image, "image"), "image"), out(given(result, "result"), "result");
+        view.expect_data("image");
+        out.expect_data("result");
         given(logits, "logits");
         if (size < 1 || size > 63 || size % 2 == 0)
             fail(PATHFOLD_INVALID_ARGUMENT, "size is ", size, "; it must be odd, from 1 to 63");

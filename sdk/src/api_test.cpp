@@ -2,6 +2,7 @@
 #include "pathfold/pathfold.hpp"
 
 #include <atomic>
+#include <cstddef>
 #include <thread>
 
 #include "testing.h"
@@ -31,11 +32,67 @@ TEST(Api, StatusNames) {
     EXPECT_STREQ(pathfold_status_name(PATHFOLD_OK), "ok");
     EXPECT_STREQ(pathfold_status_name(PATHFOLD_OUT_OF_MEMORY), "out-of-memory");
     EXPECT_STREQ(pathfold_status_name(pathfold_status(15)), "internal");
-    EXPECT_FALSE(version().empty());
+}
+
+TEST(Api, VersionsAreCompared) {
+    const std::string parts = std::to_string(PATHFOLD_VERSION_MAJOR) + "." +
+                              std::to_string(PATHFOLD_VERSION_MINOR) + "." +
+                              std::to_string(PATHFOLD_VERSION_PATCH);
+    EXPECT_EQ(version(), parts);
+    EXPECT_EQ(version(), PROJECT_VERSION);
+    static_assert(PATHFOLD_VERSION >= PATHFOLD_MAKE_VERSION(0, 1, 0));
+    static_assert(PATHFOLD_MAKE_VERSION(1, 0, 0) > PATHFOLD_MAKE_VERSION(0, 99, 99));
+}
+
+TEST(Api, StructsTellTheirSize) {
+    const std::string folder = model_folder("single-3");
+    pathfold_model_options options = pathfold_model_options_init();
+    pathfold_model *model = nullptr;
+    options.size = 3;
+    EXPECT_EQ(pathfold_model_load(folder.c_str(), &options, &model), PATHFOLD_INVALID_ARGUMENT);
+    EXPECT_NE(std::string(pathfold_last_error()).find("options: size is 3"), std::string::npos);
+    options.size = sizeof options + 8; // of a newer header
+    EXPECT_EQ(pathfold_model_load(folder.c_str(), &options, &model), PATHFOLD_UNSUPPORTED);
+    options.size = offsetof(pathfold_model_options, precision); // of an older one
+    options.precision = "nonsense";
+    ASSERT_EQ(pathfold_model_load(folder.c_str(), &options, &model), PATHFOLD_OK);
+    pathfold_model_release(model);
+    options.size = sizeof options;
+    EXPECT_EQ(pathfold_model_load(folder.c_str(), &options, &model), PATHFOLD_INVALID_ARGUMENT);
+}
+
+TEST(Api, ARunIsPlannedBySizes) {
+    Denoiser denoiser{Model(model_folder("single-3"))};
+    const auto unknown = [&] { denoiser.plan(); };
+    EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, unknown).find("no color"), std::string::npos);
+    denoiser.input("color", image(nullptr, 40, 60, 3)).set("tile", 32);
+    const pathfold_plan plan = denoiser.plan();
+    EXPECT_EQ(plan.tiles, 4);
+    EXPECT_EQ(plan.tile_width, 32);
+    EXPECT_EQ(plan.window_pixels, 36 * 36);
+    EXPECT_GT(plan.pixels, 40 * 60);
+    EXPECT_GT(plan.window_bytes, 0);
+    EXPECT_EQ(plan.frame_bytes, 40 * 60 * (3 * 4 + 1));
+    const auto run = [&] { denoiser.run(); };
+    EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, run).find("color: data is a null pointer"),
+              std::string::npos);
+    pathfold_plan part = pathfold_plan_init(); // of an older header
+    part.size = offsetof(pathfold_plan, window_pixels);
+    ASSERT_EQ(pathfold_denoiser_plan(denoiser.get(), &part), PATHFOLD_OK);
+    EXPECT_EQ(part.tiles, 4);
+    EXPECT_EQ(part.window_pixels, 0);
+}
+
+TEST(Api, BuffersAreListed) {
+    size_t count = 0;
+    const pathfold_buffer *buffers = pathfold_buffers(&count);
+    ASSERT_GT(count, 0u);
+    EXPECT_STREQ(buffers[0].name, "color");
+    EXPECT_EQ(buffers[0].channels, 3);
 }
 
 TEST(Api, NullPointersAreNamed) {
-    EXPECT_EQ(pathfold_model_load(nullptr, nullptr, 0, nullptr, nullptr), PATHFOLD_INVALID_ARGUMENT);
+    EXPECT_EQ(pathfold_model_load(nullptr, nullptr, nullptr), PATHFOLD_INVALID_ARGUMENT);
     EXPECT_STREQ(pathfold_last_error(), "model is a null pointer");
     pathfold_denoiser *denoiser = nullptr;
     EXPECT_EQ(pathfold_denoiser_create(nullptr, &denoiser), PATHFOLD_INVALID_ARGUMENT);
@@ -94,14 +151,14 @@ TEST(Api, TheWrapperDenoises) {
 
 TEST(Api, PrecisionIsChosenAtLoad) {
     const std::string folder = model_folder("quantised-3");
-    EXPECT_EQ(Model(folder, "cpu", 1, "int8").precision(), "int8");
-    EXPECT_EQ(Model(folder, "cpu", 1, "fp32").precision(), "fp32");
+    EXPECT_EQ(Model(folder, {"cpu", "int8", 1}).precision(), "int8");
+    EXPECT_EQ(Model(folder, {"cpu", "fp32", 1}).precision(), "fp32");
     pathfold_model *model = nullptr;
-    ASSERT_EQ(pathfold_model_load(folder.c_str(), nullptr, 1, nullptr, &model), PATHFOLD_OK);
+    ASSERT_EQ(pathfold_model_load(folder.c_str(), nullptr, &model), PATHFOLD_OK);
     EXPECT_EQ(pathfold_model_precision(model), Model(folder).precision()); // null is auto
     pathfold_model_release(model);
     EXPECT_STREQ(pathfold_model_precision(nullptr), "");
-    const auto load = [&] { Model(folder, "cpu", 1, "half"); };
+    const auto load = [&] { Model(folder, {"cpu", "half", 1}); };
     EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, load).find("auto, fp32 or int8"), std::string::npos);
 }
 
@@ -127,7 +184,7 @@ TEST(Api, ProgressAndCancel) {
 }
 
 TEST(Api, OneModelManyThreads) {
-    const Model model(model_folder("single-3"), "cpu", 1);
+    const Model model(model_folder("single-3"), {"cpu", "auto", 1});
     const Pixels color = noise(32, 32, 3, 2);
     Pixels right(32, 32, 3);
     Denoiser(model).input("color", color.image()).output("color", right.image()).run();

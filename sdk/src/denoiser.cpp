@@ -194,6 +194,7 @@ Denoiser::Denoiser(std::shared_ptr<const Model> model)
 
 std::string Denoiser::run(const Frame &frame, const Settings &settings) {
     frame.check();
+    frame.check_data();
     const Reads reads = decide_reads(frame, model_->manifest(), settings);
     check_reads(frame, model_->manifest(), reads);
     return Run(*this, frame, reads, settings).go();

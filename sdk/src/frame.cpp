@@ -51,6 +51,7 @@ void Frame::set_output(const std::string &name, const pathfold_image *image) {
         return;
     }
     const ImageView view(*image, "output " + name);
+    view.expect_data("output " + name);
     expect_channels(view, find_buffer(name)->channels, "output " + name);
     outputs_[name] = view;
 }
@@ -80,6 +81,8 @@ void Frame::set_layer(const std::string &name, const std::string &part, const pa
 
 void Frame::set_layer_output(const std::string &name, const pathfold_image *image) {
     const ImageView view = image != nullptr ? ImageView(*image, "output " + name) : ImageView();
+    if (image != nullptr)
+        view.expect_data("output " + name);
     layer(name).output = view;
 }
 
@@ -106,6 +109,14 @@ std::vector<std::string> Frame::input_names() const {
 void Frame::check() const {
     check_color();
     check_sizes();
+}
+
+void Frame::check_data() const {
+    for (const auto &[name, view] : inputs_)
+        view.expect_data(name);
+    for (const Layer &layer : layers_)
+        for (const auto &[part, view] : layer.parts)
+            view.expect_data(layer.name + "." + part);
 }
 
 void Frame::check_color() const {

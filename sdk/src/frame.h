@@ -29,6 +29,9 @@ public:
     /// Throws invalid-argument unless there is radiance, and the sizes of everything agree.
     void check() const;
 
+    /// Throws invalid-argument unless all pixels are there.
+    void check_data() const;
+
     bool has(const std::string &name) const { return inputs_.count(name) > 0; }
     const ImageView &input(const std::string &name) const { return inputs_.at(name); }
     const std::map<std::string, ImageView> &inputs() const { return inputs_; }

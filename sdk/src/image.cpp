@@ -33,8 +33,6 @@ std::pair<uintptr_t, uintptr_t> extent(const pathfold_image &image) {
 } // namespace
 
 ImageView::ImageView(const pathfold_image &image, const std::string &name) : image_(image) {
-    if (image.data == nullptr)
-        fail(PATHFOLD_INVALID_ARGUMENT, name, ": data is a null pointer; give the first pixel's address");
     if (image.format != PATHFOLD_FLOAT32 && image.format != PATHFOLD_FLOAT16)
         fail(PATHFOLD_INVALID_ARGUMENT, name, ": format is ", image.format,
              "; it must be PATHFOLD_FLOAT32 (0) or PATHFOLD_FLOAT16 (1)");
@@ -45,6 +43,11 @@ ImageView::ImageView(const pathfold_image &image, const std::string &name) : ima
         image.samples > max_samples)
         fail(PATHFOLD_INVALID_ARGUMENT, name, ": the image is ", size_text(), "; at most ", max_samples,
              " x ", max_edge, " x ", max_edge, " x ", max_channels, " is possible");
+}
+
+void ImageView::expect_data(const std::string &name) const {
+    if (image_.data == nullptr)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": data is a null pointer; give the first pixel's address");
 }
 
 std::string ImageView::size_text() const {

@@ -14,10 +14,13 @@ class ImageView {
 public:
     ImageView() = default;
 
-    /// Checks the view; `name` is what messages call it. Throws invalid-argument.
+    /// Checks all but the data; `name` is what messages call it. Throws invalid-argument.
     ImageView(const pathfold_image &image, const std::string &name);
 
-    bool empty() const { return image_.data == nullptr; }
+    /// Throws invalid-argument where there are no pixels yet.
+    void expect_data(const std::string &name) const;
+
+    bool empty() const { return image_.width == 0; } ///< whether it is no view of anything
     int64_t samples() const { return image_.samples; }
     int height() const { return int(image_.height); }
     int width() const { return int(image_.width); }

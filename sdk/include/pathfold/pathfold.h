@@ -25,6 +25,21 @@
 extern "C" {
 #endif
 
+/* ---- Version ------------------------------------------------------------------------------------------ */
+
+/* Of this header; pathfold_version() is that of the library. */
+#define PATHFOLD_VERSION_MAJOR 0
+#define PATHFOLD_VERSION_MINOR 1
+#define PATHFOLD_VERSION_PATCH 0
+
+/* Grows with every version: #if PATHFOLD_VERSION >= PATHFOLD_MAKE_VERSION(0, 2, 0) */
+#define PATHFOLD_MAKE_VERSION(major, minor, patch) ((major) * 10000 + (minor) * 100 + (patch))
+#define PATHFOLD_VERSION                                                                                     \
+    PATHFOLD_MAKE_VERSION(PATHFOLD_VERSION_MAJOR, PATHFOLD_VERSION_MINOR, PATHFOLD_VERSION_PATCH)
+
+/* Structs whose first member is `size` grow at their end in later versions. Their function pathfold_..._init
+ * sets `size` and everything else to what stands for "chosen". */
+
 /* ---- Status ------------------------------------------------------------------------------------------- */
 
 typedef enum pathfold_status {
@@ -67,17 +82,33 @@ PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_find_model(const char *n
                                                                    const char *const *folders,
                                                                    size_t folder_count, const char **path);
 
-/* Loads a model by name or folder. `provider` is the execution provider, "cpu" (also for null), "cuda",
- * "openvino", ...; `threads` is the number of threads to use, 0 for all. `precision` is that of its networks:
- * "fp32"; "int8", quantised where that costs little, with RelL2 at most 1.02 times that of fp32 on views held
- * out of training; or "auto" (also for null): the faster one, which is int8 where the model has it, the
- * provider is "cpu" and the processor multiplies bytes (x86: VNNI; ARM: dot product). What is filtered stays
- * float32 in all of them.
- * PATHFOLD_INVALID_ARGUMENT: no such precision. PATHFOLD_NOT_FOUND: no such model, or no onnxruntime.
- * PATHFOLD_INVALID_MODEL: it fails a check. PATHFOLD_UNSUPPORTED: the provider is not offered, the model has
- * no int8, or it needs a newer pathfold. */
-PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_model_load(const char *name, const char *provider,
-                                                                   int threads, const char *precision,
+/* How a model is loaded. */
+typedef struct pathfold_model_options {
+    size_t size;
+    const char *provider;  /* the execution provider, "cpu" (also for null), "cuda", "openvino", ... */
+    const char *precision; /* of its networks: "fp32"; "int8", quantised where that costs little, with RelL2
+                              at most 1.02 times that of fp32 on views held out of training; or "auto" (also
+                              for null): the faster one, which is int8 where the model has it, the provider is
+                              "cpu" and the processor multiplies bytes (x86: VNNI; ARM: dot product). What is
+                              filtered stays float32 in all of them */
+    int32_t threads;       /* to use; 0: all */
+} pathfold_model_options;
+
+static inline pathfold_model_options pathfold_model_options_init(void) {
+    pathfold_model_options options;
+    options.size = sizeof options;
+    options.provider = NULL;
+    options.precision = NULL;
+    options.threads = 0;
+    return options;
+}
+
+/* Loads a model by name or folder. `options` null: the defaults.
+ * PATHFOLD_INVALID_ARGUMENT: no such precision, or a wrong size of options. PATHFOLD_NOT_FOUND: no such
+ * model, or no onnxruntime. PATHFOLD_INVALID_MODEL: it fails a check. PATHFOLD_UNSUPPORTED: the provider is
+ * not offered, the model has no int8, or it needs a newer pathfold. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_model_load(const char *name,
+                                                                   const pathfold_model_options *options,
                                                                    pathfold_model **model);
 
 /* Gives a model back; denoisers made from it keep what they need. Null is allowed. */
@@ -99,7 +130,7 @@ typedef enum pathfold_format { PATHFOLD_FLOAT32 = 0, PATHFOLD_FLOAT16 = 1 } path
 /* A view of the caller's pixels, never copied. Strides are in bytes, may be negative, and are taken as they
  * stand. Pixel images have samples = 1. */
 typedef struct pathfold_image {
-    void *data;     /* first value of the first pixel; inputs are only read */
+    void *data;     /* first value of the first pixel; inputs are only read, and may be null until a run */
     int32_t format; /* a pathfold_format */
     int64_t samples, height, width, channels;
     int64_t sample_stride, row_stride, pixel_stride, channel_stride;
@@ -237,7 +268,7 @@ PATHFOLD_API void pathfold_denoiser_release(pathfold_denoiser *denoiser);
  * "alpha", "variance", "diffuse.variance", "specular.variance", "samples.descriptor", "samples.density",
  * "samples.valid". A descriptor may have fewer than 6 vertices (6 + 5 channels for each) where no path of the
  * frame has more. The pixels must live until the run is over. A null image takes the buffer away.
- * PATHFOLD_INVALID_ARGUMENT: no such name, wrong channels, no pixels. */
+ * PATHFOLD_INVALID_ARGUMENT: no such name, wrong channels, no size. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_input(pathfold_denoiser *denoiser,
                                                                            const char *name,
                                                                            const pathfold_image *image);
@@ -291,9 +322,33 @@ PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_leave_out(p
 PATHFOLD_API void pathfold_denoiser_set_progress(pathfold_denoiser *denoiser, pathfold_progress progress,
                                                  void *user);
 
+/* What a run comes to. A tile's window is the tile and its overlap: what a network sees at once. */
+typedef struct pathfold_plan {
+    size_t size;
+    int64_t tile_width, tile_height; /* of the largest tile, without its overlap */
+    int64_t tiles;
+    int64_t window_pixels; /* of the largest window */
+    int64_t pixels;        /* of all windows: the overlap makes them more than the frame's */
+    int64_t window_bytes;  /* held for the largest window, as far as it is known: what "memory_mb" bounds */
+    int64_t frame_bytes;   /* held for the whole frame beside the caller's images */
+} pathfold_plan;
+
+static inline pathfold_plan pathfold_plan_init(void) {
+    pathfold_plan plan;
+    plan.size = sizeof plan;
+    plan.tile_width = plan.tile_height = plan.tiles = plan.window_pixels = plan.pixels = 0;
+    plan.window_bytes = plan.frame_bytes = 0;
+    return plan;
+}
+
+/* Tells what a run of the frame that is set would come to, by its sizes alone: the images' `data` may still
+ * be null, and what would be left out is not known. Fails where the run would for its sizes and settings. */
+PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_plan(const pathfold_denoiser *denoiser,
+                                                                      pathfold_plan *plan);
+
 /* Denoises the frame into the outputs that were set. Outputs are finite; all but layers are >= 0.
- * PATHFOLD_INVALID_ARGUMENT: a buffer that the model requires is missing, or sizes differ.
- * PATHFOLD_CANCELLED: the callback said so; outputs are then partly written. */
+ * PATHFOLD_INVALID_ARGUMENT: a buffer that the model requires is missing, sizes differ, or an image has no
+ * data. PATHFOLD_CANCELLED: the callback said so; outputs are then partly written. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_run(pathfold_denoiser *denoiser);
 
 /* The report of the last run as JSON: what was used, what was left out and why, milliseconds per stage.

@@ -68,15 +68,24 @@ inline void describe_path(const pathfold_path &path, float *descriptor, float *d
     check(pathfold_describe_path(&path, vertices, descriptor, density));
 }
 
+/// How a model is loaded; see pathfold_model_options.
+struct ModelOptions {
+    std::string provider = "cpu";   ///< "cpu", "cuda", ...
+    std::string precision = "auto"; ///< "fp32", "int8" or "auto", the faster one
+    int threads = 0;                ///< 0: all
+};
+
 /// A model folder, checked and loaded. Immutable; copies share it, on any number of threads.
 class Model {
 public:
-    /// `name`: a folder or the name of a model; `provider`: "cpu", "cuda", ...; `threads`: 0 for all;
-    /// `precision`: "fp32", "int8" or "auto", the faster one. See pathfold_model_load.
-    explicit Model(const std::string &name, const std::string &provider = "cpu", int threads = 0,
-                   const std::string &precision = "auto") {
+    /// `name`: a folder or the name of a model.
+    explicit Model(const std::string &name, const ModelOptions &options = {}) {
+        pathfold_model_options c = pathfold_model_options_init();
+        c.provider = options.provider.c_str();
+        c.precision = options.precision.c_str();
+        c.threads = options.threads;
         pathfold_model *model = nullptr;
-        check(pathfold_model_load(name.c_str(), provider.c_str(), threads, precision.c_str(), &model));
+        check(pathfold_model_load(name.c_str(), &c, &model));
         model_.reset(model, pathfold_model_release);
     }
 
@@ -129,6 +138,13 @@ public:
     bool is_split() const { return pathfold_denoiser_is_split(get()) != 0; }
     /// Takes inputs, outputs and layers away; settings stay.
     void clear() { pathfold_denoiser_clear(get()); }
+
+    /// What a run of what is set would come to, by sizes alone; see pathfold_denoiser_plan.
+    pathfold_plan plan() const {
+        pathfold_plan plan = pathfold_plan_init();
+        check(pathfold_denoiser_plan(get(), &plan));
+        return plan;
+    }
 
     /// Denoises; `progress` is told the part done and returns false to cancel. Returns the report, as JSON.
     /// An exception from `progress` cancels and comes out of run().
