@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pages
 from pathfold import Denoiser
+from pathfold._core import Layout
 from pathfold.bench import candidates
 from pathfold.report.tables import markdown
 
@@ -38,7 +39,7 @@ def frames(width: int, height: int) -> dict[str, tuple[str, dict[str, np.ndarray
     for name in ("diffuse", "specular"):
         dark[name][:, : width // 2] = 0
     variance = np.full((height, width, 3), 1e-6, np.float32)
-    descriptors = rng.normal(-2, 3, (SPP, height, width, 36)).astype(np.float32)
+    descriptors = rng.normal(-2, 3, (SPP, height, width, Layout().channels)).astype(np.float32)
     return {
         "nothing": ("all", full),
         "the specular branch": ("all", {**full, "specular": np.zeros_like(full["specular"])}),

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pages
 import torch
+from pathfold._core import Layout
 from pathfold.report.tables import markdown
 from pathfold_training.dataset import store
 from pathfold_training.dataset.clean import clean
@@ -36,7 +37,7 @@ SIDE, SPP = 128, 16
 def write_noise(folder: Path, views: int = 8) -> Path:
     rng = np.random.default_rng(0)
     channels = {"radiance": 3, "diffuse": 3, "depth": 1, "density": 1}
-    half = {"diffuse.albedo": 3, "albedo": 3, "normal": 3, "descriptor": 36}
+    half = {"diffuse.albedo": 3, "albedo": 3, "normal": 3, "descriptor": Layout().channels}
     folder.mkdir(exist_ok=True)
     for number in range(views):
         tensors: store.Arrays = {}

@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 import pages
 from pathfold import memory
+from pathfold._core import Layout
 from pathfold.bench import candidates, cold
 from pathfold.bench.candidates import PEERS
 from pathfold.buffers import BUFFERS
 from pathfold.report.tables import markdown
 
 MEBIBYTE = 2**20
-DESCRIPTOR = 36
+DESCRIPTOR = Layout().channels
 
 
 def frame(width: int, height: int, samples: int) -> dict[str, np.ndarray]:

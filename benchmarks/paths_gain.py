@@ -32,6 +32,7 @@ import numpy as np
 import pages
 from numpy.typing import NDArray
 from pathfold import metrics
+from pathfold._core import KINDS, Layout
 from pathfold.bench import candidates, peers, subjects
 from pathfold.bench.reference import Reference
 from pathfold.bench.results import geometric
@@ -42,7 +43,6 @@ from scipy.ndimage import uniform_filter
 
 Plane = NDArray[np.float64]
 Buffers = dict[str, NDArray[Any]]
-TAGS = slice(24, 30)  # of the descriptor: 4 diffuse, 8 glossy, 16 delta, plus 1 or 2; 3 a lobe without a name
 LEAST_PIXELS = 20  # of a class in a frame that counts
 MOST_BYTES = 300_000  # of a picture
 
@@ -56,9 +56,13 @@ def error_map(image: NDArray[np.float32], reference: Reference) -> Plane:
 
 def classes(buffers: Buffers) -> dict[str, NDArray[np.bool_]]:
     """Masks of pixels by name."""
-    tags = buffers["samples.descriptor"][..., TAGS].astype(np.int32)  # S x H x W x 6
-    diffuse, delta, events = (tags & 4) > 0, (tags & 16) > 0, (tags > 0).sum(-1)
-    sharp = delta | ((tags & 8) > 0)
+    at = Layout()
+    kinds = buffers["samples.descriptor"][..., at.kind : at.roughness].astype(np.int32)  # S x H x W x vertices
+    diffuse, glossy, delta = (
+        np.isin(kinds, [KINDS[f"{lobe}-reflection"], KINDS[f"{lobe}-transmission"]])
+        for lobe in ("diffuse", "glossy", "delta")
+    )
+    sharp, events = delta | glossy, (kinds != KINDS["none"]).sum(-1)
     caustic = (sharp & (np.cumsum(diffuse, -1) > 0)).any(-1)  # a lobe is one or the other
     first = most_often(
         {

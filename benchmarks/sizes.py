@@ -19,6 +19,7 @@ import numpy as np
 import pages
 import torch
 from pathfold import Denoiser
+from pathfold._core import Layout
 from pathfold.bench.peers import oidn
 from pathfold.report.tables import markdown
 from pathfold_training.fit.preset import load_preset
@@ -53,7 +54,7 @@ def buffers(height: int, width: int, samples: int) -> dict[str, np.ndarray]:
     images = {"color": rng.exponential(1.0, shape), "albedo": rng.random(shape), "normal": rng.random(shape)}
     images |= {"depth": rng.random((height, width, 1)) + 1, "variance": rng.random(shape)}
     if samples:
-        images["samples.descriptor"] = rng.random((samples, height, width, 36))
+        images["samples.descriptor"] = rng.random((samples, height, width, Layout().channels))
     return {name: image.astype(np.float32) for name, image in images.items()}
 
 

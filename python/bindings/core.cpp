@@ -14,6 +14,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include "descriptor.h"
 #include "pathfold/pathfold.hpp"
 
 namespace py = pybind11;
@@ -68,6 +69,11 @@ py::array array_of(const py::handle &object, const std::string &name) {
 
 using Arrays = std::map<std::string, py::object>;
 using Layers = std::map<std::string, Arrays>;
+
+struct Plan : pathfold_plan {
+    int64_t result_bytes; ///< of the arrays that a run returns
+};
+
 /// One model applied to frames; Python threads that share one take turns.
 class Denoiser {
 public:
@@ -81,22 +87,24 @@ public:
         if (exposure && !(*exposure > 0))
             invalid("exposure is " + std::to_string(*exposure) + "; it must be > 0, or None");
         const Turn turn(*this);
-        denoiser_.clear();
-        denoiser_.set("exposure", exposure.value_or(0)).set("samples_per_pixel", samples_per_pixel);
-        std::vector<py::array> kept; // memory must live until the run is over
-        const auto keep = [&](const py::object &object, const std::string &name) {
-            kept.push_back(array_of(object, name));
-            return view_of(kept.back(), name);
-        };
-        py::dict result;
-        for (const auto &[name, object] : buffers)
-            denoiser_.input(name, keep(object, name));
-        for (const auto &[layer, parts] : layers.value_or(Layers()))
-            set_layer(layer, parts, keep, result);
-        set_outputs(buffers, keep, result);
+        denoiser_.set("exposure", exposure.value_or(0));
+        std::vector<py::array> kept;
+        py::dict result = set_frame(buffers, layers, samples_per_pixel, kept);
         const std::string report = run_released(progress);
         denoiser_.clear();
         return py::make_tuple(result, parse_json(report));
+    }
+
+    /// What `run` would come to.
+    Plan plan(const Arrays &buffers, const std::optional<Layers> &layers, int samples_per_pixel) {
+        const Turn turn(*this);
+        std::vector<py::array> kept;
+        const py::dict result = set_frame(buffers, layers, samples_per_pixel, kept);
+        Plan plan{denoiser_.plan(), 0};
+        denoiser_.clear();
+        for (const auto &[name, array] : result)
+            plan.result_bytes += py::reinterpret_borrow<py::array>(array).nbytes();
+        return plan;
     }
 
 private:
@@ -117,6 +125,24 @@ private:
         Denoiser &denoiser_;
         std::unique_lock<std::mutex> lock_;
     };
+
+    /// Sets inputs and outputs; returns the latter. `kept` must live until the run is over.
+    py::dict set_frame(const Arrays &buffers, const std::optional<Layers> &layers, int samples_per_pixel,
+                       std::vector<py::array> &kept) {
+        denoiser_.clear();
+        denoiser_.set("samples_per_pixel", samples_per_pixel);
+        const auto keep = [&](const py::object &object, const std::string &name) {
+            kept.push_back(array_of(object, name));
+            return view_of(kept.back(), name);
+        };
+        py::dict result;
+        for (const auto &[name, object] : buffers)
+            denoiser_.input(name, keep(object, name));
+        for (const auto &[layer, parts] : layers.value_or(Layers()))
+            set_layer(layer, parts, keep, result);
+        set_outputs(buffers, keep, result);
+        return result;
+    }
 
     template <typename Keep>
     void set_layer(const std::string &layer, const Arrays &parts, const Keep &keep, py::dict &result) {
@@ -242,6 +268,16 @@ PYBIND11_MODULE(_core, module) {
         .def_property_readonly("folder", &pathfold::Model::folder)
         .def_property_readonly("precision", &pathfold::Model::precision);
 
+    py::class_<Plan>(module, "Plan", "What a run comes to; see pathfold_plan in pathfold.h.")
+        .def_readonly("tile_width", &Plan::tile_width)
+        .def_readonly("tile_height", &Plan::tile_height)
+        .def_readonly("tiles", &Plan::tiles)
+        .def_readonly("window_pixels", &Plan::window_pixels)
+        .def_readonly("pixels", &Plan::pixels)
+        .def_readonly("window_bytes", &Plan::window_bytes)
+        .def_readonly("frame_bytes", &Plan::frame_bytes)
+        .def_readonly("result_bytes", &Plan::result_bytes);
+
     py::class_<Denoiser>(module, "Denoiser", "One model applied to frames; keeps its working memory.")
         .def(py::init<const pathfold::Model &, int, int, const std::string &>(), py::arg("model"),
              py::kw_only(), py::arg("memory_mb") = 0, py::arg("tile") = 0, py::arg("leave_out") = "all",
@@ -253,8 +289,11 @@ PYBIND11_MODULE(_core, module) {
              "Denoises one frame. buffers: name to array, height x width x channels (samples in front for "
              "samples.*), float32 or float16, any strides, not copied. layers: name to {\"color\": array} or "
              "{\"diffuse\": array, \"specular\": array}. progress is called with the part done and returns "
-             "False to cancel. Returns (name to float32 array, report).");
+             "False to cancel. Returns (name to float32 array, report).")
+        .def("plan", &Denoiser::plan, py::arg("buffers"), py::kw_only(), py::arg("layers") = py::none(),
+             py::arg("samples_per_pixel") = 0, "What a run of these would come to, by their sizes.");
 
+    bind_descriptor(module);
     module.def("version", &pathfold::version, "The version of the SDK.");
     module.def("set_onnxruntime", &pathfold::set_onnxruntime, py::arg("path"),
                "Names the onnxruntime library to load, before the first model.");

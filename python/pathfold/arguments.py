@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pathfold._core import PathfoldError
+from pathfold._core import Layout, PathfoldError
 
 Array = Any  # whatever has the array interface or DLPack: NumPy, torch on the CPU, Mitsuba, ...
 
-SAMPLES = '{"descriptor": S x H x W x 36, "density": S x H x W x 1}'
+SAMPLES = f'{{"descriptor": S x H x W x {Layout().channels}, "density": S x H x W x 1}}'
 PARTS = '{"color": array}, or {"diffuse": array, "specular": array}'
 LAYERS = f"{{NAME: {PARTS}}}"
 

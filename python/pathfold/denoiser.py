@@ -118,8 +118,8 @@ class Denoiser:
         any strides:
         `color`, `diffuse`, `specular`: linear radiance >= 0; `diffuse_albedo`, `albedo` in [0, 1]; `normal`
         in [-1, 1]; `depth` > 0, 0 on a miss; `alpha` in [0, 1]; the variances are those of the pixel mean.
-        `samples`: {"descriptor": S x H x W x 36, "density": S x H x W x 1, "valid": S x H x W x 1
-        (optional)}; the descriptor may have 6 + 5 * vertices channels where no path has 6 vertices.
+        `samples`: {"descriptor": S x H x W x C, "density": S x H x W x 1, "valid": S x H x W x 1
+        (optional)}; C is 6 + 5 * vertices, at most 6 of them, fewer where no path of the frame has more.
         `samples_per_pixel` of the frame, 0: as many as there are in `samples`, which may hold the first ones alone
         (a manifest's `samples_per_pixel.embedded` says how many a model looks at).
         `layers`: AOVs to filter alike, {"key light": {"color": ...}} or {..: {"diffuse": ..., "specular":

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pathfold._core import Layout, descriptor_vertices
 from pathfold.channels import samples as sample_names
 from pathfold.models import ALL_SAMPLES
 from pathfold.rendering import Renderer
@@ -103,9 +104,9 @@ def trim_vertices(samples: Mapping[str, NDArray[Any]]) -> tuple[Block, str]:
     if "descriptor" not in kept:
         return kept, ""
     block = kept["descriptor"]
-    vertices = used = (block.shape[-1] - 6) // 5
-    tags = 6 + 3 * vertices
-    while used > 1 and not block[..., tags + used - 1].any():  # also where a value is not finite it is some
+    vertices = used = descriptor_vertices(block.shape[-1])
+    kinds = Layout(vertices).kind
+    while used > 1 and not block[..., kinds + used - 1].any():  # also where a value is not finite it is some
         used -= 1
     if used == vertices:
         return kept, ""

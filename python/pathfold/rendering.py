@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pathfold._core import MAX_VERTICES
 from pathfold.buffers import BUFFERS
 from pathfold.channels import samples as sample_names
 from pathfold.images import MAX_CHANNELS, NewPart, OutputError, write_parts
@@ -138,7 +139,7 @@ class Renderer:
 
 def path_vertices(max_depth: int) -> int:
     """How many vertices of a path are recorded: one for each time that it scatters, within what models read."""
-    return sample_names.VERTICES if max_depth < 0 else min(sample_names.VERTICES, max(max_depth - 1, 1))
+    return MAX_VERTICES if max_depth < 0 else min(MAX_VERTICES, max(max_depth - 1, 1))
 
 
 def check_samples(path: Path, recorded: int, max_depth: int) -> None:

@@ -5,13 +5,13 @@ namespace pathfold::core {
 const std::vector<BufferKind> &buffer_kinds() {
     static const std::vector<BufferKind> kinds = {
         {"color", 3, 0},
+        {"alpha", 1, 0},
         {"diffuse", 3, 0},
         {"specular", 3, 0},
         {"diffuse.albedo", 3, 0},
         {"albedo", 3, 0},
         {"normal", 3, 0},
         {"depth", 1, 0},
-        {"alpha", 1, 0},
         {"variance", 3, 0},
         {"diffuse.variance", 3, 0},
         {"specular.variance", 3, 0},

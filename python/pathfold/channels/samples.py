@@ -2,12 +2,12 @@
 
     path.radiance.R/G/B        undivided radiance of the path's dominant contribution      natural logarithm
     path.light.R/G/B           its photon energy                                           natural logarithm
-    path.attenuation.V.R/G/B   BSDF times cosine at vertex V = 0 ... 5, fewer where no path has more; natural logarithm
-    path.tag.V                 interaction at vertex V, 0 where the path has ended
+    path.attenuation.V.R/G/B   BSDF times cosine at vertex V = 0, 1, ..., none that no path has; natural logarithm
+    path.tag.V                 interaction at vertex V, a pathfold_kind; 0 where the path has ended
     path.roughness.V           roughness of the lobe sampled at vertex V, 0 delta or ended, 1 diffuse
     path.density               sum of the natural logarithms of the sampling densities     float
     valid                      1, or 0 for a sample that was not finite                    only where any is 0
-A logarithm of nothing (the raw value is 0) is stored as -100. All are half floats but the density.
+A logarithm of nothing (the raw value is 0) is stored as PATHFOLD_DEAD_LOG. All are half floats but the density.
 """
 
 from collections.abc import Mapping
@@ -15,9 +15,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from pathfold._core import MAX_VERTICES, descriptor_vertices
 from pathfold.images import ImageError, ImageFile, NewPart
 
-VERTICES = 6
 PART = "samples"
 
 
@@ -32,7 +32,7 @@ def descriptor(vertices: int) -> tuple[str, ...]:
     )
 
 
-DESCRIPTOR = descriptor(VERTICES)
+DESCRIPTOR = descriptor(MAX_VERTICES)
 _FIELDS = {"descriptor": DESCRIPTOR, "density": ("path.density",), "valid": ("valid",)}
 _TYPES = {"descriptor": np.float16, "density": np.float32, "valid": np.float16}
 
@@ -42,7 +42,7 @@ Samples = dict[str, NDArray[np.floating]]
 def to_part(samples: Mapping[str, NDArray[np.floating]]) -> NewPart:
     """The part of a block of samples: "descriptor" S x H x W x (6 + 5 * vertices), "density" S x H x W x 1, ..."""
     count, height, width, channels = samples["descriptor"].shape
-    fields = {**_FIELDS, "descriptor": descriptor((channels - 6) // 5)}
+    fields = {**_FIELDS, "descriptor": descriptor(descriptor_vertices(channels))}
     kinds = {name: "float" if _TYPES[name] == np.float32 else "half" for name in samples}
     names = [f"samples.{s:03d}.{field}" for s in range(count) for name in samples for field in fields[name]]
     formats = [kinds[name] for _ in range(count) for name in samples for _ in fields[name]]
@@ -75,7 +75,7 @@ def load(file: ImageFile) -> Samples:
     spec = file.parts[part]
     channels = {name: number for number, name in enumerate(spec.channelnames)}
     block, places = {}, {}
-    vertices = sum(f"samples.{numbers[0]}.path.tag.{vertex}" in channels for vertex in range(VERTICES))
+    vertices = sum(f"samples.{numbers[0]}.path.tag.{vertex}" in channels for vertex in range(MAX_VERTICES))
     for name, fields in {**_FIELDS, "descriptor": descriptor(max(vertices, 1))}.items():
         if not any(f"samples.{s}.{fields[0]}" in channels for s in numbers):
             continue

@@ -15,14 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pathfold._core import DEAD_LOG, KINDS, MAX_VERTICES, Layout
+
 Buffers = dict[str, NDArray[Any]]  # under the names of the manifest; H x W x C, samples S x H x W x C
 HEIGHT, WIDTH, SAMPLES = 22, 18, 3  # no multiples of a network's alignment
 RADIANCE = ("color", "diffuse", "specular")
 VARIANCES = ("variance", "diffuse.variance", "specular.variance")
-LIGHT = slice(0, 6)  # descriptor channels with the logarithms of radiance and photon energy
-LOGS = slice(0, 24)
-DEAD = -100.0  # the logarithm of nothing
-TAGS = (0, 5, 9, 17, 6, 10, 18, 3)
+LAYOUT = Layout()
+LIGHT = slice(LAYOUT.radiance, LAYOUT.attenuation)  # logarithms of a path's radiance and photon energy
+LOGS = slice(0, LAYOUT.kind)
+DRAWN = [f"{lobe}-{side}" for side in ("reflection", "transmission") for lobe in ("diffuse", "glossy", "delta")]
+DRAWN_KINDS = [KINDS[name] for name in ("none", *DRAWN, "generic")]
 
 
 @dataclass(frozen=True)
@@ -79,11 +82,11 @@ def frame(height: int = HEIGHT, width: int = WIDTH, samples: int = SAMPLES, seed
     buffers |= {"diffuse.albedo": draw.uniform(*shape), "albedo": draw.uniform(*shape)}
     buffers |= {"normal": draw.between(-1, 1, *shape), "depth": draw.between(0.5, 50, height, width, 1)}
     buffers |= {name: draw.uniform(*shape) / (1.02 - draw.uniform(*shape)) / 8 for name in VARIANCES}
-    logs = draw.between(-20, 8, samples, height, width, 24)
-    logs[draw.uniform(*logs.shape) < 0.3] = DEAD
-    tags = np.array(TAGS)[(draw.words(samples, height, width, 6) % len(TAGS)).astype(int)]
-    roughness = draw.uniform(samples, height, width, 6)
-    buffers["samples.descriptor"] = np.concatenate([logs, tags, roughness], -1)
+    logs = draw.between(-20, 8, samples, height, width, LAYOUT.kind)
+    logs[draw.uniform(*logs.shape) < 0.3] = DEAD_LOG
+    vertices = (samples, height, width, MAX_VERTICES)
+    kinds = np.array(DRAWN_KINDS)[(draw.words(*vertices) % len(DRAWN_KINDS)).astype(int)]
+    buffers["samples.descriptor"] = np.concatenate([logs, kinds, draw.uniform(*vertices)], -1)
     buffers["samples.density"] = draw.between(-40, 40, samples, height, width, 1)
     return with_color({name: values.astype(np.float32) for name, values in buffers.items()})
 
@@ -103,7 +106,7 @@ def scaled(buffers: Buffers, scale: float) -> Buffers:
     for name in VARIANCES:
         buffers[name] *= np.float32(scale) ** 2
     light = buffers["samples.descriptor"][..., LIGHT]
-    light[light != DEAD] += np.float32(math.log(scale))
+    light[light != DEAD_LOG] += np.float32(math.log(scale))
     return buffers
 
 
@@ -235,7 +238,7 @@ def black() -> Buffers:
     buffers = frame()
     for name in (*RADIANCE, *VARIANCES):
         buffers[name][:] = 0
-    buffers["samples.descriptor"][..., LIGHT] = DEAD
+    buffers["samples.descriptor"][..., LIGHT] = DEAD_LOG
     return buffers
 
 
@@ -356,7 +359,7 @@ def huge_logarithms() -> Buffers:
 @case("dead paths", "paths that carry nothing", "samples.descriptor")
 def dead_paths() -> Buffers:
     buffers = frame()
-    buffers["samples.descriptor"][..., LOGS] = DEAD
+    buffers["samples.descriptor"][..., LOGS] = DEAD_LOG
     return buffers
 
 

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pathfold.check.cases import DEAD, LOGS, Buffers
+from pathfold._core import DEAD_LOG
+from pathfold.check.cases import LAYOUT, LOGS, Buffers
 
 Array = NDArray[np.float64]
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 BIN = 16  # pixels
 DARK_BIN, BRIGHT_BIN = 1e-8, 16.0  # of the bright level
 OUTLYING = 64  # one in so many pixels of a bin, or bins, may be an outlier
-DESCRIPTOR_CHANNELS = 36
 RANGES = {"normal": (-1.0, 1.0), "albedo": (0.0, 1e4), "diffuse.albedo": (0.0, 1e4)}  # else >= 0
 
 
@@ -140,13 +140,13 @@ def guides(buffers: dict[str, Array], split: bool) -> dict[str, Array]:
 def samples(buffers: dict[str, Array], size: tuple[int, ...]) -> dict[str, Array]:
     """The block of samples, what is not finite marked as not valid; without one, a single sample that says nothing."""
     given = "samples.descriptor" in buffers
-    descriptor = buffers.get("samples.descriptor", np.zeros((1, *size, DESCRIPTOR_CHANNELS))).copy()
+    descriptor = buffers.get("samples.descriptor", np.zeros((1, *size, LAYOUT.channels))).copy()
     density = buffers.get("samples.density", np.zeros((*descriptor.shape[:3], 1)))
     valid = buffers.get("samples.valid", np.full((*descriptor.shape[:3], 1), float(given)))
     finite = np.isfinite(np.concatenate([descriptor, density, valid], -1)).all(-1, keepdims=True)
     valid = finite & (np.where(finite, valid, 0) > 0.5)
-    dead = np.zeros(DESCRIPTOR_CHANNELS)
-    dead[LOGS] = DEAD
+    dead = np.zeros(LAYOUT.channels)
+    dead[LOGS] = DEAD_LOG
     return {
         "samples.descriptor": np.where(valid, descriptor, dead),
         "samples.density": np.where(valid, density, 0),

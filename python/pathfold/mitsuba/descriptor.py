@@ -9,18 +9,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-GENERIC_TAG = 3
-DEAD = -100.0  # stands for the logarithm of 0
-FLOOR = 1e-30
-LOG_FLOOR = float(np.log(FLOOR))
+from pathfold._core import DEAD_LOG, KINDS, LEAST_VALUE
+
+LOG_FLOOR = float(np.log(LEAST_VALUE))
 
 
 @dataclass
 class Vertex:
-    """What one scattering event leaves in the descriptor: f|cos|, interaction tag, roughness of the lobe."""
+    """What one scattering event leaves in the descriptor: f|cos|, kind of interaction, roughness of the lobe."""
 
     attenuation: Any
-    tag: Any
+    kind: Any
     roughness: Any
 
     @staticmethod
@@ -71,7 +70,7 @@ class Record:
     def sample_light(self, gathered: Any, emitted: Any, density: Any, vertex: Vertex) -> None:
         """A light sample was connected; it ends the path with a vertex of its own."""
         better = self._improve(gathered, emitted)
-        vertex = Vertex(vertex.attenuation * self.pending, vertex.tag, vertex.roughness)
+        vertex = Vertex(vertex.attenuation * self.pending, vertex.kind, vertex.roughness)
         self.end = dr.select(better, vertex, self.end)
         total = self.log_density + dr.select(self.count < len(self.walk), log(density), 0)
         self.end_density = dr.select(better, total, self.end_density)
@@ -88,7 +87,7 @@ class Record:
 
     def scatter(self, on: Any, null: Any, density: Any, vertex: Vertex) -> None:
         """Append a sampled event to the walk; a null event only leaves its weight for the next vertex."""
-        joined = Vertex(vertex.attenuation * self.pending, vertex.tag, vertex.roughness)
+        joined = Vertex(vertex.attenuation * self.pending, vertex.kind, vertex.roughness)
         self.log_density += dr.select(on & (self.count < len(self.walk)), log(density), 0)
         for slot, old in enumerate(self.walk):
             self.walk[slot] = dr.select(on & ~null & (self.count == slot), joined, old)
@@ -105,18 +104,22 @@ def sampled_vertex(attenuation: Any, sampled: Any, alpha: Any) -> Vertex:
     flags = mi.BSDFFlags
     reflects, transmits = mi.has_flag(sampled, flags.Reflection), mi.has_flag(sampled, flags.Transmission)
     diffuse, glossy = mi.has_flag(sampled, flags.Diffuse), mi.has_flag(sampled, flags.Glossy)
-    lobe = dr.select(diffuse, mi.Float(4), dr.select(glossy, mi.Float(8), 16))
+    rough = dr.select(glossy, kind_of("glossy", reflects), kind_of("delta", reflects))
     generic = (reflects == transmits) | (glossy & (alpha < 0))
-    tag = dr.select(generic, GENERIC_TAG, lobe + dr.select(reflects, mi.Float(1), 2))
-    return Vertex(attenuation, tag, dr.select(diffuse, 1, dr.select(glossy, dr.abs(alpha), 0)))
+    kind = dr.select(generic, KINDS["generic"], dr.select(diffuse, kind_of("diffuse", reflects), rough))
+    return Vertex(attenuation, kind, dr.select(diffuse, 1, dr.select(glossy, dr.abs(alpha), 0)))
 
 
 def light_vertex(attenuation: Any, through: Any, share: Any, alpha: Any) -> Vertex:
     """Describe the lobe that carries most of a light sample: diffuse where its share is above one half."""
     diffuse = (dr.mean(share) > 0.5) | (alpha == 0)
-    tag = dr.select(through, mi.Float(2), 1) + dr.select(diffuse, mi.Float(4), 8)
-    tag = dr.select(diffuse | (alpha > 0), tag, GENERIC_TAG)
-    return Vertex(attenuation, tag, dr.select(diffuse, 1, dr.abs(alpha)))
+    kind = dr.select(diffuse, kind_of("diffuse", ~through), kind_of("glossy", ~through))
+    kind = dr.select(diffuse | (alpha > 0), kind, KINDS["generic"])
+    return Vertex(attenuation, kind, dr.select(diffuse, 1, dr.abs(alpha)))
+
+
+def kind_of(lobe: str, reflects: Any) -> Any:
+    return dr.select(reflects, mi.Float(KINDS[f"{lobe}-reflection"]), KINDS[f"{lobe}-transmission"])
 
 
 def channels(record: Record) -> dict[str, list[Any]]:
@@ -124,7 +127,7 @@ def channels(record: Record) -> dict[str, list[Any]]:
     lit = record.best > 0
     sampled = lit & record.end_sampled
     count = dr.select(lit, record.end_count, record.count)
-    attenuations, tags, roughnesses = [], [], []
+    attenuations, kinds, roughnesses = [], [], []
     product = mi.Color3f(0)
     for slot, vertex in enumerate(record.walk):
         ends = sampled & (count == slot)
@@ -132,26 +135,26 @@ def channels(record: Record) -> dict[str, list[Any]]:
         vertex = dr.select(alive, dr.select(ends, record.end, vertex), Vertex.empty())
         product += dr.select(alive, dr.log(vertex.attenuation), 0)
         attenuations.extend(logarithm(vertex.attenuation))
-        tags.append(vertex.tag)
+        kinds.append(vertex.kind)
         roughnesses.append(vertex.roughness)
     photon = dr.select(lit, record.photon, 0)
     product += dr.log(photon)
-    undivided: Any = dr.select(dr.isfinite(product), dr.maximum(product, LOG_FLOOR), DEAD)
+    undivided: Any = dr.select(dr.isfinite(product), dr.maximum(product, LOG_FLOOR), DEAD_LOG)
     total = count + dr.select(sampled, mi.UInt32(1), 0)
     return {
-        "descriptor": half([*undivided, *logarithm(photon), *attenuations, *tags, *roughnesses]),
+        "descriptor": half([*undivided, *logarithm(photon), *attenuations, *kinds, *roughnesses]),
         "density": [dr.select(lit, record.end_density, record.log_density)],
         "overlong": half([dr.select(total > len(record.walk), mi.Float(1), 0)]),
     }
 
 
 def log(x: Any) -> Any:
-    return dr.log(dr.maximum(x, FLOOR))
+    return dr.log(dr.maximum(x, LEAST_VALUE))
 
 
 def logarithm(color: Any) -> Any:
-    """ln(max(x, 1e-30)) per channel, DEAD for 0."""
-    return dr.select(color > 0, dr.maximum(dr.log(color), LOG_FLOOR), DEAD)
+    """ln(max(x, LEAST_VALUE)) per channel, DEAD_LOG for 0."""
+    return dr.select(color > 0, dr.maximum(dr.log(color), LOG_FLOOR), DEAD_LOG)
 
 
 def half(values: Any) -> list[Any]:

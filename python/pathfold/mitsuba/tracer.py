@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from pathfold._core import Layout
 from pathfold.models import ALL_SAMPLES
 
 from . import descriptor, materials
@@ -26,7 +27,7 @@ Columns = dict[str, list[Any]]  # of every field of Samples its channels, as dev
 Launch = Callable[..., Columns]  # trace_lanes, or that made ready once
 RECORDED = {"descriptor", "density", "overlong"}
 OPTIONAL = {"diffuse", "diffuse_albedo", "albedo", "normal", "depth", "alpha", "position", *RECORDED}
-MAX_LANES = 2**32 // 36
+MAX_LANES = 2**32 // Layout().channels
 FROZEN = 16  # launches that one Frozen keeps ready
 CHUNK_LANES = 1 << 22  # samples that trace_mean holds at once
 
@@ -37,7 +38,7 @@ class Samples:
 
     Radiance, depth, position and density are float32, the rest float16. `normal` is in camera space and faces the
     camera; `position` is the offset in pixels from the pixel centre; `alpha` is 1 where the sample met a surface.
-    `descriptor` (6 + 5 * vertices channels, logarithms with -100 for 0), `density` (log of the sampling density)
+    `descriptor` (6 + 5 * vertices channels, logarithms with DEAD_LOG for 0), `density` (log of the sampling density)
     and `overlong` (1 where a path has more vertices than were recorded) are None unless they were asked for, and
     whatever was left out is None.
     """

@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 import torch
+from pathfold._core import Layout
 
 from ..networks.batch import Inputs
 from ..networks.features import OPTIONAL
 from .frames import without_paths
 from .preset import Data
 
-COLORED_LOGS = 24  # descriptor channels 0..23 are RGB triples
+COLORED_LOGS = Layout().kind  # the first channels of a descriptor: RGB triples
 FIREFLIES, FIREFLY_LOG10 = 8, (1.0, 5.0)  # pixels at most that get one in a crop, and how bright a sample is, exposed
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as functional
+from pathfold._core import DEAD_LOG, Layout
 from torch import Tensor
 
 # Optional inputs of a branch, each with a presence plane
@@ -15,7 +16,8 @@ OPTIONAL = ("variance", "albedo", "normal", "depth", "split")
 BRANCH_CHANNELS = 3 + 1 + 6 + 3 + 6 + 1 + 2 + 3 + 6 + len(OPTIONAL)  # 36
 DEMODULATION_EPSILON = 0.00316  # KPCN: keeps division by a black albedo bounded
 
-DESCRIPTOR_CHANNELS = 36
+LAYOUT = Layout()  # of path descriptors
+DESCRIPTOR_CHANNELS = LAYOUT.channels
 LOG_FLOOR_RADIANCE, LOG_FLOOR_LIGHT, LOG_FLOOR_ATTENUATION, LOG_FLOOR_DENSITY = (
     -13.8155,
     -18.4207,
@@ -23,8 +25,14 @@ LOG_FLOOR_RADIANCE, LOG_FLOOR_LIGHT, LOG_FLOOR_ATTENUATION, LOG_FLOOR_DENSITY = 
     -13.8155,
 )
 LOG_CEILING = 87.0  # ln(1e38), the paper's cap
-DESCRIPTOR_SCALES = [30.0] * 3 + [10.0] * 3 + [30.0] * 18 + [19.0] * 6 + [1.0] * 6
-SENTINEL = -99.0  # logs below it stand for raw 0: exposure is not added to them
+DESCRIPTOR_SCALES = (
+    [30.0] * (LAYOUT.light - LAYOUT.radiance)
+    + [10.0] * (LAYOUT.attenuation - LAYOUT.light)
+    + [30.0] * (LAYOUT.kind - LAYOUT.attenuation)
+    + [19.0] * (LAYOUT.roughness - LAYOUT.kind)
+    + [1.0] * (LAYOUT.channels - LAYOUT.roughness)
+)
+SENTINEL = DEAD_LOG + 1  # logs below it stand for raw 0: exposure is not added to them
 
 
 def plane(value: Tensor, like: Tensor) -> Tensor:
@@ -68,14 +76,15 @@ def descriptor_logs(descriptor: Tensor, log_exposure: Tensor) -> Tensor:
     Natural logs cross the API; exposure is an addition to the six radiance-like channels; a raw 0 stays at the floor.
     """
     shift = log_exposure.reshape(-1, 1, 1, 1).to(descriptor.dtype)
-    light = descriptor[:, 0:6]
+    at = LAYOUT
+    light = descriptor[:, at.radiance : at.attenuation]
     light = light + shift * (light > SENTINEL)
-    radiance = torch.clamp(light[:, 0:3], LOG_FLOOR_RADIANCE, LOG_CEILING)
-    energy = torch.clamp(light[:, 3:6], LOG_FLOOR_LIGHT, LOG_CEILING)
-    attenuation = torch.clamp(descriptor[:, 6:24], LOG_FLOOR_ATTENUATION, LOG_CEILING)
-    tag = torch.clamp(descriptor[:, 24:30], 0.0, 19.0)
-    roughness = torch.sqrt(torch.clamp(descriptor[:, 30:36], 0.0, 1.0))
-    return torch.cat([radiance, energy, attenuation, tag, roughness], 1)
+    radiance = torch.clamp(light[:, : at.light], LOG_FLOOR_RADIANCE, LOG_CEILING)
+    energy = torch.clamp(light[:, at.light :], LOG_FLOOR_LIGHT, LOG_CEILING)
+    attenuation = torch.clamp(descriptor[:, at.attenuation : at.kind], LOG_FLOOR_ATTENUATION, LOG_CEILING)
+    kind = torch.clamp(descriptor[:, at.kind : at.roughness], 0.0, 19.0)
+    roughness = torch.sqrt(torch.clamp(descriptor[:, at.roughness : at.channels], 0.0, 1.0))
+    return torch.cat([radiance, energy, attenuation, kind, roughness], 1)
 
 
 def descriptor_features(descriptor: Tensor, log_exposure: Tensor) -> Tensor:
