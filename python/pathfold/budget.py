@@ -6,7 +6,7 @@ takes is scaled to the frame's windows (tiles with their overlap).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import ceil
+from math import ceil, isqrt
 from numbers import Real
 from time import perf_counter
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from pathfold import memory, models
+from pathfold._core import PathfoldError, Plan
 from pathfold.arguments import failure
 from pathfold.denoiser import Denoiser, Result
 
@@ -25,7 +26,6 @@ IN_WINDOWS = ("pack", "network", "reconstruct")  # the stages of a run that see 
 # On what a trial tells: other programs run, too, and what the heap had free hides some of what is needed.
 TIME_MARGIN, MEMORY_MARGIN = 1.25, 1.4
 TRIAL_EDGE = 64  # pixels of a trial's piece at least: on smaller ones a run's fixed cost hides what its pixels take
-LARGEST_WINDOW = 640 * 1024  # pixels; larger ones are not faster
 
 Buffers = Mapping[str, NDArray[Any]]
 
@@ -40,31 +40,18 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class TilePlan:
-    """What a way would come to in square tiles of `edge`."""
+class Outlook:
+    """What a way would come to in the tiles of its denoiser."""
 
-    edge: int
+    denoiser: Denoiser
+    plan: Plan
     seconds: float
     memory_mb: float  # of the process at its peak
     overlapping: float  # pixels of all windows over those of the frame
 
-
-@dataclass(frozen=True)
-class Tiling:
-    """How a model's tiles may be cut, in pixels."""
-
-    alignment: int
-    overlap: int  # a multiple of it, as in the SDK's plan
-
     @property
-    def smallest_window(self) -> int:
-        """Edge of the window of the smallest tile."""
-        return self.alignment + 2 * self.overlap
-
-    @staticmethod
-    def of(denoiser: Denoiser) -> "Tiling":
-        tile = denoiser.model.manifest["tile"]
-        return Tiling(tile["alignment"], ceil(tile["overlap"] / tile["alignment"]) * tile["alignment"])
+    def tile(self) -> str:
+        return f"{self.plan.tile_width}x{self.plan.tile_height}"
 
 
 @dataclass(frozen=True)
@@ -161,22 +148,22 @@ class Budget:
             trial = Denoiser(denoiser.model, **self._options | {"leave_out": "none"})  # the piece may need nothing
             cost = _try(trial, given, samples_per_pixel)
             del trial  # its tensors are no part of what is held
-            plan = self._plan(cost, Tiling.of(denoiser), given, later_mb)
+            found = self._look(denoiser, cost, given, samples_per_pixel, later_mb)
             spent = perf_counter() - begin
-            until = spent + TIME_MARGIN * plan.seconds
-            if self.memory_mb is not None and plan.memory_mb > self.memory_mb:
-                refused.append((plan.memory_mb / self.memory_mb, f"{way}: needs {plan.memory_mb:.0f} MB"))
+            until = spent + TIME_MARGIN * found.seconds
+            if self.memory_mb is not None and found.memory_mb > self.memory_mb:
+                refused.append((found.memory_mb / self.memory_mb, f"{way}: needs {found.memory_mb:.0f} MB"))
             elif self.seconds is not None and until > self.seconds:
-                words = f"{way}: would take {plan.seconds:.2g} s, {spent:.2g} s are spent"
+                words = f"{way}: would take {found.seconds:.2g} s, {spent:.2g} s are spent"
                 refused.append((until / self.seconds, words))
             else:
-                lines = [f"{way}, tiles of {plan.edge}: about {plan.seconds:.2g} s, less than {plan.memory_mb:.0f} MB"]
+                expected = f"about {found.seconds:.2g} s, less than {found.memory_mb:.0f} MB"
+                lines = [f"{way}, tiles of {found.tile}: {expected}"]
                 lines += [f"gave up {words}" for _, words in refused]
-                if plan.overlapping > 1.5:
-                    lines.append(f"gave up larger tiles: with overlap these are {plan.overlapping:.1f} pictures")
-                ready = Denoiser(denoiser.model, tile=plan.edge, **self._options)
-                return Choice(ready, given, plan.seconds, plan.memory_mb, lines)
-            del denoiser  # before the next one is loaded
+                if found.overlapping > 1.5:
+                    lines.append(f"gave up larger tiles: with overlap these are {found.overlapping:.1f} pictures")
+                return Choice(found.denoiser, given, found.seconds, found.memory_mb, lines)
+            del denoiser, found  # before the next one is loaded
         ratio, words = min(refused)
         raise failure(
             "unsupported",
@@ -197,21 +184,31 @@ class Budget:
             raise failure("invalid-argument", f"{needed}; there are {', '.join(sorted(buffers)) or 'none'}")
         return found
 
-    def _plan(self, cost: Cost, tiling: Tiling, buffers: Buffers, later_mb: float) -> TilePlan:
-        """The largest tiles that the memory allows, or the smallest ones if none are small enough."""
-        height, width = buffers["color" if "color" in buffers else "diffuse"].shape[:2]
-        held = memory.in_use() + later_mb + width * height * _frame_bytes(buffers) / memory.MEBIBYTE
-        most = ceil(max(width, height) / tiling.alignment)
-        for parts in range(1, most + 1):
-            edge = ceil(most / parts) * tiling.alignment
-            across, down = (windows(size, edge, tiling.overlap) for size in (width, height))
-            largest, total = max(across) * max(down), sum(across) * sum(down)
-            needed = held + MEMORY_MARGIN * cost.window_bytes * largest / memory.MEBIBYTE
-            inside = largest <= LARGEST_WINDOW and (self.memory_mb is None or needed <= self.memory_mb)
-            if inside or parts == most:
-                break
-        seconds = (cost.window_ms * total + cost.frame_ms * width * height) / 1000
-        return TilePlan(edge, seconds, needed, total / (width * height))
+    def _look(
+        self, denoiser: Denoiser, cost: Cost, buffers: Buffers, samples_per_pixel: int, later_mb: float
+    ) -> Outlook:
+        """A run in the tiles that are fastest, else in the largest that the memory allows, else in the smallest."""
+        held_mb = memory.in_use() + later_mb
+
+        def look(**tiles: int) -> Outlook:
+            tiled = Denoiser(denoiser.model, **self._options | tiles)
+            plan = tiled.plan_buffers(buffers, samples_per_pixel=samples_per_pixel)
+            pixels = _pixels(buffers)
+            needed = plan.frame_bytes + plan.result_bytes + MEMORY_MARGIN * cost.window_bytes * plan.window_pixels
+            seconds = (cost.window_ms * plan.pixels + cost.frame_ms * pixels) / 1000
+            return Outlook(tiled, plan, seconds, held_mb + needed / memory.MEBIBYTE, plan.pixels / pixels)
+
+        found = look()
+        if self.memory_mb is None or found.memory_mb <= self.memory_mb:
+            return found
+        windows_mb = MEMORY_MARGIN * cost.window_bytes * found.plan.window_pixels / memory.MEBIBYTE
+        left = self.memory_mb - (found.memory_mb - windows_mb)
+        # As much of what the SDK counts for a window as is left of what the trial told.
+        bound = int(left / windows_mb * found.plan.window_bytes / memory.MEBIBYTE) if windows_mb > 0 else 0
+        try:
+            return look(memory_mb=bound) if bound > 0 else look(tile=_alignment(denoiser))
+        except PathfoldError:  # too little for any tile
+            return look(tile=_alignment(denoiser))
 
 
 def _check_sizes(buffers: Buffers) -> None:
@@ -230,7 +227,9 @@ def _check_sizes(buffers: Buffers) -> None:
 def _try(denoiser: Denoiser, buffers: Buffers, samples_per_pixel: int) -> Cost:
     """Denoise the middle of the frame: a small piece to warm up, then the model's smallest window or a larger one."""
     # What loading the model left free in the heap would hide some of what the first run takes.
-    edge = max(Tiling.of(denoiser).smallest_window, TRIAL_EDGE)
+    in_small_tiles = Denoiser(denoiser.model, tile=_alignment(denoiser))
+    least = in_small_tiles.plan_buffers(buffers, samples_per_pixel=samples_per_pixel).window_pixels
+    edge = max(isqrt(least), TRIAL_EDGE)
     small, piece = (
         {name: _middle(pixels, size) for name, pixels in buffers.items()} for size in (edge // 4, edge)
     )  # the first's tensors stay
@@ -244,10 +243,14 @@ def _try(denoiser: Denoiser, buffers: Buffers, samples_per_pixel: int) -> Cost:
     return Cost(inside / pixels, max(0.0, whole - inside) / pixels, held / pixels)
 
 
-def windows(size: int, edge: int, overlap: int) -> list[int]:
-    """The windows of tiles of that edge along an axis: the tile and its overlap, as far as the picture reaches."""
-    starts = range(0, size, edge)
-    return [min(size, start + edge + overlap) - max(0, start - overlap) for start in starts]
+def _alignment(denoiser: Denoiser) -> int:
+    """The edge of the model's smallest tile."""
+    return int(denoiser.model.manifest["tile"]["alignment"])
+
+
+def _pixels(buffers: Buffers) -> int:
+    height, width = buffers["color" if "color" in buffers else "diffuse"].shape[:2]
+    return int(height * width)
 
 
 def _without_paths(buffers: Buffers) -> dict[str, NDArray[Any]]:
@@ -260,11 +263,3 @@ def _middle(pixels: NDArray[Any], edge: int) -> NDArray[Any]:
     height, width = pixels.shape[axis : axis + 2]
     y, x = max(0, height - edge) // 2, max(0, width - edge) // 2
     return pixels[..., y : y + edge, x : x + edge, :]
-
-
-def _frame_bytes(buffers: Buffers) -> int:
-    """What a run holds per pixel of the frame: float32 results, what is filtered, and what that is divided by."""
-    split = {"diffuse", "specular", "diffuse.albedo"} <= buffers.keys()
-    results = (9 if split else 3) + ("alpha" in buffers)
-    filtered = (6 if split else 3) + ("alpha" in buffers)
-    return 4 * (results + filtered + 3) + 1

@@ -156,15 +156,7 @@ class Denoiser:
         progress: Progress | None = None,
     ) -> Result:
         """`run` with the buffers under their own names ("diffuse.albedo", "samples.descriptor", ...)."""
-        given = mapping("buffers", buffers, '{"color": array, ...}')
-        arrays = {name: as_array(name, value) for name, value in given.items() if value is not None}
-        extra = {
-            layer: {
-                part: as_array(f"layer {layer!r}, {part}", value)
-                for part, value in mapping(f"layers[{layer!r}]", parts, PARTS).items()
-            }
-            for layer, parts in mapping("layers", layers, LAYERS).items()
-        }
+        arrays, extra = _arrays(buffers, layers)
         if exposure is not None and not isinstance(exposure, Real):
             raise not_a(f"exposure is {kind(exposure)}", "a number > 0, or None")
         count = whole("samples_per_pixel", samples_per_pixel, "a whole number, 0 where it is not known")
@@ -172,13 +164,41 @@ class Denoiser:
             raise not_a(f"progress is {kind(progress)}", "a function that takes the fraction done, or None")
         images, report = self._core.run(
             arrays,
-            layers=extra or None,
+            layers=extra,
             samples_per_pixel=count,
             exposure=exposure,
             progress=None if progress is None else lambda done: progress(done) is not False,
         )
         kept = {name: images.pop(name, None) for name in ("alpha", "diffuse", "specular")}
         return Result(color=images.pop("color"), **kept, layers=images, report=report)
+
+    def plan_buffers(
+        self,
+        buffers: Mapping[str, Array | None],
+        *,
+        layers: Mapping[str, Mapping[str, Array]] | None = None,
+        samples_per_pixel: int = 0,
+    ) -> _core.Plan:
+        """What `run_buffers` would come to, by sizes and settings alone: tiles, pixels of their windows, bytes held."""
+        arrays, extra = _arrays(buffers, layers)
+        count = whole("samples_per_pixel", samples_per_pixel, "a whole number, 0 where it is not known")
+        return self._core.plan(arrays, layers=extra, samples_per_pixel=count)
+
+
+def _arrays(
+    buffers: Mapping[str, Array | None], layers: Mapping[str, Mapping[str, Array]] | None
+) -> tuple[dict[str, NDArray[Any]], dict[str, dict[str, NDArray[Any]]] | None]:
+    """Buffers and layers as the SDK takes them."""
+    given = mapping("buffers", buffers, '{"color": array, ...}')
+    arrays = {name: as_array(name, value) for name, value in given.items() if value is not None}
+    extra = {
+        layer: {
+            part: as_array(f"layer {layer!r}, {part}", value)
+            for part, value in mapping(f"layers[{layer!r}]", parts, PARTS).items()
+        }
+        for layer, parts in mapping("layers", layers, LAYERS).items()
+    }
+    return arrays, extra or None
 
 
 def auto_exposure(color: Array) -> float:
