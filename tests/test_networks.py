@@ -10,7 +10,7 @@ import torch
 from pathfold_training.fit.preset import load_preset, preset_names
 from pathfold_training.networks.embedding import PathEmbedding, pixel_embedding
 from pathfold_training.networks.families import FAMILIES, family
-from pathfold_training.networks.features import OPTIONAL
+from pathfold_training.networks.features import DESCRIPTOR_CHANNELS, OPTIONAL
 from pathfold_training.networks.kpcn.branch import Branch
 from pathfold_training.networks.kpcn.network import Kpcn
 from pathfold_training.networks.kpcn.sizes import KpcnSizes, overlap
@@ -104,6 +104,17 @@ def test_embedding_ignores_the_order_of_samples_and_invalid_ones() -> None:
     more = torch.cat([features, torch.full((1, 36, 9, 7), 5.0)])
     marked = torch.cat([valid, torch.zeros(1, 1, 9, 7)])
     torch.testing.assert_close(pixel_embedding(network(more, marked), marked), p, rtol=1e-4, atol=1e-5)
+
+
+def test_an_untrained_embedding_varies_and_its_deepest_layers_learn() -> None:
+    torch.manual_seed(4)
+    embedding = PathEmbedding(3, 16)
+    features = torch.randn(4, DESCRIPTOR_CHANNELS, 32, 32) * embedding.deviation + embedding.mean
+    paths = embedding(features, torch.ones(4, 1, 32, 32))
+    assert paths.mean(0).std((1, 2)).max() > 0.05  # over pixels, as R sees it
+    (paths * torch.randn(paths.shape) / paths.numel() ** 0.5).sum().backward()
+    for parameter in embedding.context.bottom.parameters():
+        assert parameter.grad is not None and parameter.grad.square().mean().sqrt() > 1e-4  # 1e-7 is lost in Adam
 
 
 def test_images_of_unlike_sample_counts_in_a_batch_do_not_mix() -> None:

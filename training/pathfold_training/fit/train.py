@@ -76,9 +76,8 @@ def fit(
     `data` is the folder of a data set, or says what to render on the fly. With more than one of `devices` or `nodes`,
     as many processes (Lightning's DDP) share each batch of the preset and learn the same as one would.
     `threads` 0 leaves torch's choice. `start_from` is a checkpoint or an exported model folder whose weights begin the
-    run: kpcn-vanilla's for the path variants, say (the authors tune R alone first, then attach F), or a shipped model's
-    to go on with it on other data. Raises ValueError if `data` holds no data set, `start_from` no weights that fit, or
-    `out` belongs to another preset, seed or number of steps: nothing is written then.
+    run: a shipped model's, to go on with it on other data. Raises ValueError if `data` holds no data set, `start_from`
+    no weights that fit, or `out` belongs to another preset, seed or number of steps: nothing is written then.
     """
     source = data if isinstance(data, Live) else Stored(data)
     if isinstance(source, Stored):

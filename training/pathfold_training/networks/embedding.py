@@ -22,7 +22,11 @@ RADIUS = 40  # pixels: convolutions reach 30, pooling and upsampling add up to 9
 
 
 def convolution(inputs: int, outputs: int, kernel: int) -> nn.Module:
-    return weight_norm(nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2))
+    layer = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2)
+    # torch's default halves the signal with every layer: 20 deep, F's output hardly varies and no gradient arrives
+    nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+    nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+    return weight_norm(layer)
 
 
 def stack(*widths: int, kernel: int = 3) -> nn.Sequential:
