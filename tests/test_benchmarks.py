@@ -123,7 +123,7 @@ def test_pixels_are_classed_by_what_most_samples_do() -> None:
     tags[:, 0, 2, :3] = [5, 18, 18]  # light through glass falls onto a diffuse surface
     tags[:2, 0, 3, :2] = [9, 5]  # two of three samples are glossy
     descriptor = np.zeros((3, 1, 5, 36), np.float16)
-    descriptor[..., paths_gain.TAGS] = tags
+    descriptor[..., 24:30] = tags
     image = np.ones((1, 5, 3), np.float32)
     found = paths_gain.classes({"samples.descriptor": descriptor, "color": image, "variance": image, "diffuse": image})
     where = {name: np.flatnonzero(mask).tolist() for name, mask in found.items()}
