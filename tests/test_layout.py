@@ -17,7 +17,7 @@ HEAVY = {"distributed", "drjit", "lightning", "mitsuba", "onnx", "torch"}
 WANTS_A_VARIANT = "pathfold.mitsuba"  # of Mitsuba, set before it is imported
 MOST_LINES = 400
 SOURCES = {".py", ".pyi", ".c", ".cpp", ".h", ".hpp"}
-PARTS = ("python", "training", "tools", "benchmarks")
+PARTS = ("sdk", "python", "training", "tests", "tools", "benchmarks")
 
 
 class Import(NamedTuple):
@@ -96,7 +96,7 @@ def test_what_python_ships_to_everybody_knows_no_training() -> None:
     assert not [one for one in imports() if room(one.module).split(".")[0] == "pathfold" and top(one) in barred]
 
 
-@pytest.mark.parametrize("package", ["pathfold"])
+@pytest.mark.parametrize("package", PACKAGES)
 def test_own_modules_are_imported_at_the_top_unless_they_bring_something_heavy(package: str) -> None:
     inside = [
         one for one in imports() if one.inside and one.target in modules() and room(one.target) != WANTS_A_VARIANT

@@ -9,13 +9,18 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+from pathfold import models
+from pathfold.bench import about
 from pathfold.cli.console import run as run_application
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
 from .dataset import contents, store
+from .dataset.clean import clean
 from .dataset.truth import BUDGET
+from .release.card import write_card
+from .release.evaluate import evaluate as run_evaluation
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -130,8 +135,6 @@ def dataset_clean(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="data set made by 'pathfold-train render'")],
 ) -> None:
     """Make the references without noise that the pathfold presets learn from, by OIDN; those that are there stay."""
-    from .dataset.clean import clean
-
     with Progress(console=console, disable=not console.is_terminal) as progress:
         bar = progress.add_task("windows")
         made = clean(folder, lambda done, total: progress.update(bar, completed=done, total=total))
@@ -237,13 +240,8 @@ def evaluate(
     seeds: Annotated[int, typer.Option(min=1, help="render seeds of each scene")] = 3,
 ) -> None:
     """Compare models with the noisy input and OIDN on scenes with references."""
-    from pathfold import models
-    from pathfold.bench import about
-
-    from .release.evaluate import evaluate as run
-
     chosen = model or list(models.available(models.shipped_directories()))
-    run(scenes, out, chosen, spp, seeds, about.command(["pathfold-train", *sys.argv[1:]]))
+    run_evaluation(scenes, out, chosen, spp, seeds, about.command(["pathfold-train", *sys.argv[1:]]))
 
 
 @app.command()
@@ -252,8 +250,6 @@ def card(
     results: Annotated[Path, typer.Option(help="folder that 'evaluate' wrote")],
 ) -> None:
     """Write model cards anew, with the errors that were measured."""
-    from .release.card import write_card
-
     for folder in folders:
         write_card(folder, results)
         console.print(f"{folder / 'README.md'}")
