@@ -69,7 +69,7 @@ def tables(rows: Sequence[pages.Row]) -> str:
     table = [["not needed", "ms without leaving out", "with", "ratio", "looking", "saved", "said"]]
     for row in rows:
         without, lean = row["without"], row["lean"]
-        cells = [f"{without:.0f}", f"{lean:.0f}", f"{lean / without:.2f}", f"{100 * row['looking']:.1g} %"]
+        cells = [f"{without:.0f}", f"{lean:.0f}", f"{lean / without:.2f}", f"{100 * row['looking']:.2g} %"]
         table.append([row["what"], *cells, f"{without - lean:.0f}", f"{row['said']:.0f}"])
     head = f"{rows[0]['model']}, {rows[0]['size']}, tiles of {TILE} pixels, medians of {rows[0]['rounds']} rounds"
     return f"{head}; converged tiles and path descriptors are left out by name only:\n\n{markdown(table)}"
