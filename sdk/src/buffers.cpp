@@ -1,5 +1,7 @@
 #include "buffers.h"
 
+#include <limits>
+
 namespace pathfold::core {
 
 const std::vector<BufferKind> &buffer_kinds() {
@@ -34,6 +36,30 @@ std::string buffer_names() {
     for (const BufferKind &kind : buffer_kinds())
         names += (names.empty() ? "" : ", ") + std::string(kind.name);
     return names;
+}
+
+const std::vector<Guide> &guides() {
+    constexpr float largest = std::numeric_limits<float>::max();
+    constexpr float brightest = 1e4f; // times the radiance cap / 0.00316 it is still a float
+    static const std::vector<Guide> all = {
+        {"albedo", {0, brightest}, true},
+        {"normal", {-1, 1}, true},
+        {"depth", {0, largest}, true},
+        {"diffuse.albedo", {0, brightest}, false}, // where the frame is split, it is there
+    };
+    return all;
+}
+
+const Guide *find_guide(const std::string &name) {
+    for (const Guide &guide : guides())
+        if (name == guide.name)
+            return &guide;
+    return nullptr;
+}
+
+Range guide_range(const std::string &buffer) {
+    const Guide *guide = find_guide(buffer);
+    return guide != nullptr ? guide->range : Range{0, std::numeric_limits<float>::max()};
 }
 
 } // namespace pathfold::core

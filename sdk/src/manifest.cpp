@@ -226,14 +226,16 @@ Shape input_shape(const std::string &name) {
     const Dim one{1, ""}, height{-1, "H"}, width{-1, "W"}, samples{-1, "S"};
     if (name == "exposure" || name == "depth_scale")
         return {one};
-    for (const char *flag : {"variance", "albedo", "normal", "depth", "split", "paths"})
-        if (name == flag + std::string(".present"))
+    for (const char *flag : {"variance.present", "split.present", "paths.present"})
+        if (name == flag)
+            return {one};
+    for (const Guide &guide : guides())
+        if (guide.flagged && name == guide.name + std::string(".present"))
             return {one};
     if (name == "radiance")
         return {one, {3, ""}, height, width};
-    for (const char *buffer : {"variance", "albedo", "normal", "depth", "diffuse.albedo"})
-        if (name == buffer)
-            return {one, {find_buffer(name)->channels, ""}, height, width};
+    if (name == "variance" || find_guide(name) != nullptr)
+        return {one, {find_buffer(name)->channels, ""}, height, width};
     if (const BufferKind *kind = find_buffer(name); kind != nullptr && kind->per_sample)
         return {samples, {kind->channels, ""}, height, width};
     return {};

@@ -84,7 +84,7 @@ void Packer::start(const Tile &tile, const Embedding &embedding) {
         samples = samples || is_samples(name);
         if (name == "embedding")
             embedding.copy(tile.window, packed.data);
-        if (name == "albedo" || name == "normal" || name == "depth" || name == "diffuse.albedo")
+        if (find_guide(name) != nullptr)
             pack_guide(name, name);
     }
     if (samples)

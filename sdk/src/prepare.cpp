@@ -223,14 +223,6 @@ Counts &Counts::operator+=(const Counts &other) {
     return *this;
 }
 
-Range guide_range(const std::string &buffer) {
-    if (buffer == "normal")
-        return {-1, 1};
-    if (buffer == "albedo" || buffer == "diffuse.albedo")
-        return {0, 1e4f}; // times the radiance cap / 0.00316 it is still a float
-    return {0, std::numeric_limits<float>::max()};
-}
-
 Counts sanitise_guide(float *pixels, int count, int channels, Range range) {
     Counts counts;
     for (int i = 0; i < count; ++i) {

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "buffers.h"
 #include "image.h"
 #include "parallel.h"
 #include "reads.h"
@@ -53,15 +54,6 @@ float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<
 /// `valid`, negative values become 0 unless `keeps_sign`.
 Planes load_radiance(const ImageView &view, bool keeps_sign, std::vector<uint8_t> &valid, Threads &threads,
                      Counts &counts);
-
-/// What the values of a guide are brought into.
-struct Range {
-    float least, most;
-};
-
-/// Normals [-1, 1]; albedos [0, 1e4], so that what is divided by them can be multiplied again in float32;
-/// else >= 0.
-Range guide_range(const std::string &buffer);
 
 /// Makes non-finite values 0 and clamps the others. Interleaved pixels, in place.
 /// Returns how many pixels were not finite and how many negative where that may not be.
