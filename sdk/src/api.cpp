@@ -70,15 +70,17 @@ std::string given_text(const char *argument, const char *name) {
     return argument;
 }
 
-/// Copies what both sides know of a struct that starts with its size, which `to` keeps. A caller built with a
-/// newer header may ask for more than this library has.
+/// Copies what both sides know of a struct that starts with its size, which `to` keeps. Members are as large
+/// as the struct is aligned, so an older header's struct ends at a multiple of that.
 template <typename Struct>
 void copy_known(const Struct &from, Struct &to, const char *name) {
     const size_t size = from.size;
-    if (size < sizeof(size_t) || size > sizeof(Struct))
-        fail(size > sizeof(Struct) ? PATHFOLD_UNSUPPORTED : PATHFOLD_INVALID_ARGUMENT, name, ": size is ",
-             size, "; this pathfold, ", pathfold_version(), ", knows up to ", sizeof(Struct),
-             "; set it with pathfold_..._init");
+    if (size < sizeof(size_t) || size % alignof(Struct) != 0)
+        fail(PATHFOLD_INVALID_ARGUMENT, name, ": size is ", size, "; set it with pathfold_..._init");
+    if (size > sizeof(Struct))
+        fail(PATHFOLD_UNSUPPORTED, name, ": size is ", size,
+             ", as of a newer pathfold.h than that of this pathfold, ", pathfold_version(), ", which knows ",
+             sizeof(Struct), "; install the newer one");
     std::memcpy(&to, &from, size);
     to.size = sizeof(Struct);
 }
@@ -210,10 +212,12 @@ pathfold_status pathfold_denoiser_set_layer_output(pathfold_denoiser *denoiser, 
 }
 
 int pathfold_denoiser_is_split(const pathfold_denoiser *denoiser) {
-    if (denoiser == nullptr)
-        return 0;
-    const Manifest &manifest = denoiser->denoiser.model().manifest();
-    return decide_reads(denoiser->frame, manifest, denoiser->settings).split ? 1 : 0;
+    bool split = false;
+    const pathfold_status status = guarded([&] {
+        const pathfold_denoiser &at = given(denoiser, "denoiser");
+        split = decide_reads(at.frame, at.denoiser.model().manifest(), at.settings).split;
+    });
+    return status == PATHFOLD_OK && split ? 1 : 0;
 }
 
 void pathfold_denoiser_clear(pathfold_denoiser *denoiser) {

@@ -51,6 +51,8 @@ TEST(Api, StructsTellTheirSize) {
     options.size = 3;
     EXPECT_EQ(pathfold_model_load(folder.c_str(), &options, &model), PATHFOLD_INVALID_ARGUMENT);
     EXPECT_NE(std::string(pathfold_last_error()).find("options: size is 3"), std::string::npos);
+    options.size = offsetof(pathfold_model_options, provider) + 4; // half a pointer
+    EXPECT_EQ(pathfold_model_load(folder.c_str(), &options, &model), PATHFOLD_INVALID_ARGUMENT);
     options.size = sizeof options + 8; // of a newer header
     EXPECT_EQ(pathfold_model_load(folder.c_str(), &options, &model), PATHFOLD_UNSUPPORTED);
     options.size = offsetof(pathfold_model_options, precision); // of an older one

@@ -18,9 +18,9 @@ float log_of(float value) {
     return std::log(std::max(value, PATHFOLD_LEAST_VALUE));
 }
 
+/// Of a vertex that is there.
 bool is_kind(int32_t kind) {
     switch (kind) {
-    case PATHFOLD_KIND_NONE:
     case PATHFOLD_KIND_GENERIC:
     case PATHFOLD_KIND_DIFFUSE_REFLECTION:
     case PATHFOLD_KIND_DIFFUSE_TRANSMISSION:
@@ -51,10 +51,10 @@ void clear(float *descriptor, const pathfold_layout &layout) {
 void clear_descriptor(float *descriptor) { clear(descriptor, whole); }
 
 void describe_path(const pathfold_path &path, int vertices, float *descriptor, float *density) {
-    const pathfold_layout layout = pathfold_descriptor_layout(vertices);
     if (vertices < 1 || vertices > PATHFOLD_MAX_VERTICES)
         fail(PATHFOLD_INVALID_ARGUMENT, "vertices is ", vertices, "; it must be from 1 to ",
              PATHFOLD_MAX_VERTICES);
+    const pathfold_layout layout = pathfold_descriptor_layout(vertices);
     if (path.vertex_count < 0 || (path.vertex_count > 0 && path.vertices == nullptr))
         fail(PATHFOLD_INVALID_ARGUMENT, "vertex_count is ", path.vertex_count,
              "; it must be >= 0, and vertices no null pointer where there are any");
@@ -69,7 +69,12 @@ void describe_path(const pathfold_path &path, int vertices, float *descriptor, f
         const pathfold_vertex &vertex = path.vertices[i];
         expect_not_negative(vertex.attenuation, "attenuation");
         if (!is_kind(vertex.kind))
-            fail(PATHFOLD_INVALID_ARGUMENT, "kind is ", vertex.kind, "; it must be a pathfold_kind");
+            fail(PATHFOLD_INVALID_ARGUMENT, "kind is ", vertex.kind,
+                 "; it must be a pathfold_kind other than none");
+        if (vertex.roughness < 0 || vertex.roughness > 1)
+            fail(PATHFOLD_INVALID_ARGUMENT, "roughness is ", vertex.roughness, "; it must be in [0, 1]");
+        if (vertex.density < 0)
+            fail(PATHFOLD_INVALID_ARGUMENT, "density is ", vertex.density, "; it must be >= 0");
         for (int c = 0; c < 3; ++c) {
             descriptor[layout.attenuation + 3 * i + c] = log_of(vertex.attenuation[c]);
             product[c] += std::log(vertex.attenuation[c]);

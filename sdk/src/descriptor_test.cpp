@@ -95,7 +95,23 @@ TEST(Descriptor, WhatIsNotFiniteStaysSo) {
     vertices[0] = vertices[1];
     vertices[0].kind = 4;
     expect_error(PATHFOLD_INVALID_ARGUMENT, [&] { described(path_of(vertices, {1, 1, 1}), 6); }, "kind is 4");
-    expect_error(PATHFOLD_INVALID_ARGUMENT, [&] { described(path_of({}, {1, 1, 1}), 7); }, "vertices is 7");
+    vertices[0].kind = PATHFOLD_KIND_NONE;
+    expect_error(PATHFOLD_INVALID_ARGUMENT, [&] { described(path_of(vertices, {1, 1, 1}), 6); }, "kind is 0");
+    vertices[0] = vertices[1];
+    for (float roughness : {-1.0f, 7.0f}) {
+        vertices[0].roughness = roughness;
+        expect_error(
+            PATHFOLD_INVALID_ARGUMENT, [&] { described(path_of(vertices, {1, 1, 1}), 6); }, "roughness is");
+    }
+    vertices[0] = vertices[1];
+    vertices[0].density = -2;
+    expect_error(
+        PATHFOLD_INVALID_ARGUMENT, [&] { described(path_of(vertices, {1, 1, 1}), 6); }, "density is -2");
+    float channels[64];
+    for (int count : {-1, 0, 7, std::numeric_limits<int>::max()})
+        expect_error(
+            PATHFOLD_INVALID_ARGUMENT,
+            [&] { describe_path(path_of({}, {1, 1, 1}), count, channels, nullptr); }, "vertices is");
 }
 
 TEST(Descriptor, FewerVerticesAreSpread) {

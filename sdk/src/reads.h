@@ -27,7 +27,7 @@ struct Reads {
     std::set<std::string> buffers;
     std::vector<std::string> unread; ///< buffers that were given, too
     bool without_paths = false;      ///< samples were left out of what the model reads
-    int64_t samples = 0;             ///< per pixel, of the frame's samples; 0 where none are read
+    int64_t samples = 0;             ///< per pixel that the frame holds, whether they are read or not
     int64_t samples_behind = 0;      ///< per pixel of the frame, whether it holds them or not; 0: not known
 
     bool has(const std::string &buffer) const { return buffers.count(buffer) > 0; }

@@ -106,7 +106,7 @@ static inline pathfold_model_options pathfold_model_options_init(void) {
 /* Loads a model by name or folder. `options` null: the defaults.
  * PATHFOLD_INVALID_ARGUMENT: no such precision, or a wrong size of options. PATHFOLD_NOT_FOUND: no such
  * model, or no onnxruntime. PATHFOLD_INVALID_MODEL: it fails a check. PATHFOLD_UNSUPPORTED: the provider is
- * not offered, the model has no int8, or it needs a newer pathfold. */
+ * not offered, the model has no int8, or it or `options` needs a newer pathfold. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_model_load(const char *name,
                                                                    const pathfold_model_options *options,
                                                                    pathfold_model **model);
@@ -214,7 +214,7 @@ typedef struct pathfold_path {
 
 /* Where the channels of a descriptor lie: the first of each kind. */
 typedef struct pathfold_layout {
-    int32_t radiance;    /* RGB: ln of light times all attenuations */
+    int32_t radiance;    /* RGB: ln of light times the recorded attenuations */
     int32_t light;       /* RGB: ln */
     int32_t attenuation; /* RGB of each vertex: ln. Logarithms end where kinds begin */
     int32_t kind;        /* of each vertex, 0 where the path has ended */
@@ -245,8 +245,8 @@ static inline int pathfold_descriptor_vertices(int64_t channels) {
 
 /* Fills in a path: the channels of a descriptor of `vertices` vertices, float32 side by side, and the density
  * (may be null), the sum of the recorded vertices' ln(density).
- * PATHFOLD_INVALID_ARGUMENT: a value is out of its range. What is not finite stays so: such a sample is
- * dropped and counted when a frame is denoised. */
+ * PATHFOLD_INVALID_ARGUMENT: a value of a recorded vertex or the light is out of its range. What is NaN or
+ * infinite, or 0 times infinite, stays so: such a sample is dropped and counted when a frame is denoised. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_describe_path(const pathfold_path *path, int vertices,
                                                                       float *descriptor, float *density);
 
@@ -342,7 +342,8 @@ static inline pathfold_plan pathfold_plan_init(void) {
 }
 
 /* Tells what a run of the frame that is set would come to, by its sizes alone: the images' `data` may still
- * be null, and what would be left out is not known. Fails where the run would for its sizes and settings. */
+ * be null, and what would be left out is not known. Fails where the run would for its sizes and settings.
+ * PATHFOLD_UNSUPPORTED: `plan` needs a newer pathfold. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_plan(const pathfold_denoiser *denoiser,
                                                                       pathfold_plan *plan);
 
