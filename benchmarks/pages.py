@@ -55,9 +55,10 @@ class Findings:
         """`folder` is where the page goes; `candidates` what is measured: the data say by which weights."""
         self._page, self._path = page, folder / f"{page.name}.json"
         folder.mkdir(parents=True, exist_ok=True)
-        old = json.loads(self._path.read_text(encoding="utf-8")) if self._path.exists() else {}
-        self._kept: list[Row] = old.get("rows", [])
-        self._made = {name: old.get(name, "") for name in ("date", "machine")}
+        old = read(self._path) if self._path.exists() else {"date": "", "machine": ""}
+        same = old["machine"] == machine()  # a page is of one machine
+        self._kept: list[Row] = old["rows"] if same else []
+        self._made = {name: old[name] for name in ("date", "machine")}
         self._models = {c.name: c.identity for c in candidates if is_model(c.name)}
         self.rows: list[Row] = []  # of this run
         self.fresh = False  # whether one was measured in this run
@@ -112,12 +113,31 @@ def rounded(value: Any) -> Any:
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
 
 
+def read(path: Path) -> dict[str, Any]:
+    """A page's data. Raises ValueError naming a file that holds none."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        whole = {"command", "date", "machine", "models", "rows"} <= data.keys()
+    except (ValueError, AttributeError):
+        whole = False
+    if not whole:
+        raise ValueError(f"{path} holds no page's data, or is damaged: remove it, and run its benchmark again")
+    return data
+
+
 def every(folder: Path) -> dict[Path, str]:
-    """Each page in a folder of results, and what its data say that it is."""
+    """Each page in a folder of results, and what its data say that it is.
+
+    Raises ValueError naming data that are damaged, or that no benchmark makes.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"there is no folder {folder}")
     found = {}
     for path in sorted(folder.glob("*.json")):
+        if not Path(__file__).with_name(f"{path.stem}.py").is_file():
+            raise ValueError(f"{path}: there is no benchmark {path.stem}; remove it")
         page: Page = importlib.import_module(path.stem).PAGE
-        found[path.with_suffix(".md")] = page.text(json.loads(path.read_text(encoding="utf-8")))
+        found[path.with_suffix(".md")] = page.text(read(path))
     for path in sorted(folder.glob(f"*/{about.FILE}")):
         measurements, made = write.read(path.parent)
         table = evaluate.table if made.command.startswith("pathfold-train evaluate") else write.markdown
@@ -130,7 +150,7 @@ def weights(folder: Path) -> set[tuple[Path, str, str]]:
     """The data of results, the models that they are of, and the identities of these when they were measured."""
     found = set()
     for path in folder.glob("*.json"):
-        found |= {(path, *model) for model in json.loads(path.read_text(encoding="utf-8"))["models"].items()}
+        found |= {(path, *model) for model in read(path)["models"].items()}
     for path in folder.glob("*/results.jsonl"):
         found |= {(path, m.method, m.identity) for m in results.read(path).values() if is_model(m.method)}
     return found
@@ -143,8 +163,11 @@ def is_model(method: str) -> bool:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", default=RESULTS)
-    for path, text in every(parser.parse_args().folder).items():
-        path.write_text(text, encoding="utf-8")
+    try:
+        for path, text in every(parser.parse_args().folder).items():
+            path.write_text(text, encoding="utf-8")
+    except ValueError as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":

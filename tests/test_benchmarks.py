@@ -176,6 +176,21 @@ def test_findings_go_on_where_they_were_stopped(tmp_path: Path, monkeypatch: pyt
     assert data["rows"] == [{"scene": "b", "seeds": [0, 1], "error": 0.333333}]
     assert page.text(data) == (tmp_path / "toy.md").read_text()
     assert data["command"] == f"python benchmarks/toy.py {tmp_path.name.upper()}/scenes"
+    (tmp_path / "toy.json").write_text(json.dumps(data | {"machine": "another"}))
+    counter = [3]
+    run("b")  # what another machine measured stands on a page of its own
+    assert not counter and "b 1.0" in (tmp_path / "toy.md").read_text()
+
+
+def test_data_that_are_no_page_s_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no folder"):
+        pages.every(tmp_path / "nowhere")
+    for name, text, said in (("energy", "{", "damaged"), ("energy", "[]", "damaged"), ("stray", "{}", "no benchmark")):
+        path = tmp_path / f"{name}.json"
+        path.write_text(text)
+        with pytest.raises(ValueError, match=f"{name}.json.*{said}"):
+            pages.every(tmp_path)
+        path.unlink()
 
 
 def test_windows_are_compared_one_by_one_over_seeds() -> None:
