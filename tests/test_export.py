@@ -247,6 +247,13 @@ def test_a_card_holds_the_errors_that_were_measured(exported: tuple[Path, Denois
     with pytest.raises(ValueError, match=f"no measurement of {name}"):
         write_card(folder, results)
     (results / "results.jsonl").write_text("".join(json.dumps(asdict(line)) + "\n" for line in lines))
+    whole = (results / "results.jsonl").read_text()
+    (results / "results.jsonl").write_text(
+        "".join(json.dumps(asdict(one)) + "\n" for one in lines if one.method == name)
+    )
+    with pytest.raises(ValueError, match="no measurement of oidn-prefiltered"):
+        write_card(folder, results)
+    (results / "results.jsonl").write_text(whole)
     write_card(folder, results)
     rows = [line for line in (folder / "README.md").read_text().splitlines() if line.startswith(("| [", "| all"))]
     assert rows[0] == "| [b](../../results/b-8spp.jpg) | 1.0000 | 0.0200 | 0.0200 | 0.0600 | 3.00 |"

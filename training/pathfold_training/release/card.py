@@ -108,11 +108,11 @@ def error_section(name: str, results: Path, link: str) -> str:
     """Markdown: RelL2 scene by scene beside the input's and OIDN's, worst against OIDN first, with pictures."""
     rows = list(read(results / "results.jsonl").values())
     again = f"make it by pathfold-train evaluate SCENES -o {results}"
-    if not any(row.method == name for row in rows):
-        raise ValueError(f"{results} has no measurement of {name}: {again}")
+    methods = [*PEERS, name]
+    if missing := [method for method in reversed(methods) if not any(row.method == method for row in rows)]:
+        raise ValueError(f"{results} has no measurement of {missing[0]}: {again}")
     if len({row.spp for row in rows}) > 1:
         raise ValueError(f"{results} holds several spp: {again}, which measures at one")
-    methods = [*PEERS, name]
 
     def mean(method: str, scenes: Sequence[str]) -> float:
         return geometric(
