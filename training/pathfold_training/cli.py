@@ -31,7 +31,7 @@ app = typer.Typer(
 )
 console = Console(stderr=True)
 
-dataset = typer.Typer(no_args_is_help=True, help="What a data set holds.")
+dataset = typer.Typer(no_args_is_help=True, help="What a data set holds; references to learn from.")
 app.add_typer(dataset, name="dataset")
 
 

@@ -37,7 +37,8 @@ class Network(Protocol):
     """A torch module. Images are B x C x H x W, linear and unexposed."""
 
     sizes: Any  # the family's Sizes
-    quantised: ClassVar[tuple[str, ...]]  # layers of the graph `network` in int8, by how their names begin; () for none
+    # Layers of the graph `network` in int8, by how their names begin; () for none. It then reads a graph `embedding`.
+    quantised: ClassVar[tuple[str, ...]]
 
     def __init__(self, sizes: Any) -> None: ...
 
