@@ -44,6 +44,12 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def test_a_library_that_is_no_folder_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="is no folder"):
+        render.render(tmp_path / "data", library=tmp_path / "nowhere")
+    assert not (tmp_path / "data").exists()
+
+
 def test_equal_seeds_give_equal_views(task: trace.Task, rendered: tuple[store.Line, store.Arrays]) -> None:
     line, one = rendered
     _, two = trace.render_view(task)

@@ -59,13 +59,13 @@ def render(
     of `workers` processes. Returns how many views are "done", "kept" and "failed"; reasons are in out/render.log.
     Raises OSError where a file cannot be written; all that was written before is whole.
     """
+    spend = BUDGET if budget is None else budget
+    common = {"seed": seed, "size": size, "spp": spp or SPP, "budget": spend, "crop": crop, "crops": crops}
+    common["zoom"] = zoom
+    wanted = plan(procedural, library, views_per_scene, held_out, views_per_generated, variant=variant, **common)
     make_folder(out)
     with _log_file(out / "render.log"):
         lines = {line["id"]: line for line in store.recover(out) if not _lost(line)}
-        spend = BUDGET if budget is None else budget
-        common = {"seed": seed, "size": size, "spp": spp or SPP, "budget": spend, "crop": crop, "crops": crops}
-        common["zoom"] = zoom
-        wanted = plan(procedural, library, views_per_scene, held_out, views_per_generated, variant=variant, **common)
         tasks = _missing(out, wanted, lines, spp, budget, variant)
         total = len({task.id for task in wanted} | set(lines))
         counts = {"done": 0, "kept": total - len(tasks), "failed": 0}
