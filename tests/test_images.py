@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
 from exr_files import SIZE, noise, part, write
-from pathfold.images import HALF_MAX, ImageError, ImageFile, NewPart, OutputError, replacing, write_parts
+from pathfold.images import HALF_MAX, ImageError, ImageFile, NewPart, OutputError, replacing, save_as, write_parts
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def mixed(tmp_path: Path) -> Path:
 def test_only_the_changed_channels_change(mixed: Path, tmp_path: Path) -> None:
     file = ImageFile(mixed)
     new = np.full((SIZE[1], SIZE[0]), 0.5, np.float32)
-    file.save_as(tmp_path / "out.exr", {(0, 0): new}, metadata={"pathfold:model": "tiny"})
+    save_as(file, tmp_path / "out.exr", {(0, 0): new}, metadata={"pathfold:model": "tiny"})
 
     again = ImageFile(tmp_path / "out.exr")
     assert again.parts[0].channelnames == file.parts[0].channelnames
@@ -49,12 +49,12 @@ def test_integers_that_would_be_bent_are_an_error(tmp_path: Path) -> None:
     values[..., 3] = 0.9  # ids up to 3.9e9
     path = write(tmp_path / "a.exr", [part("", ["R", "G", "B", "id"], ["half"] * 3 + ["uint"], values)])
     with pytest.raises(OutputError, match="channel 'id' holds integers above 8388608"):
-        ImageFile(path).save_as(tmp_path / "out.exr", {(0, 0): values[..., 0]})
+        save_as(ImageFile(path), tmp_path / "out.exr", {(0, 0): values[..., 0]})
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_half_channels_stay_finite(mixed: Path, tmp_path: Path) -> None:
-    ImageFile(mixed).save_as(tmp_path / "out.exr", {(0, 0): np.full((SIZE[1], SIZE[0]), 1e9, np.float32)})
+    save_as(ImageFile(mixed), tmp_path / "out.exr", {(0, 0): np.full((SIZE[1], SIZE[0]), 1e9, np.float32)})
     assert (ImageFile(tmp_path / "out.exr").read(0, [0]) == HALF_MAX).all()
 
 
@@ -66,10 +66,10 @@ def test_untouched_parts_are_copied_and_parts_can_be_left_out(tmp_path: Path) ->
     ]
     parts[2][0].full_height = SIZE[1]
     file = ImageFile(write(tmp_path / "in.exr", parts))
-    file.save_as(tmp_path / "out.exr", {(0, 1): np.zeros((SIZE[1], SIZE[0]), np.float32)}, leave_out=[2])
+    save_as(file, tmp_path / "out.exr", {(0, 1): np.zeros((SIZE[1], SIZE[0]), np.float32)}, leave_out=[2])
     again = ImageFile(tmp_path / "out.exr")
     assert [again.part_name(number) for number in range(len(again.parts))] == ["beauty", "id"]
-    raw = [opened._input.read_image(1, 0, 0, 1, oiio.UINT) for opened in (file, again)]
+    raw = [opened.input.read_image(1, 0, 0, 1, oiio.UINT) for opened in (file, again)]
     assert (raw[0] == raw[1]).all() and raw[0].max() > 2**31
 
 
@@ -82,7 +82,7 @@ def test_deep_parts_are_named() -> None:
     file.parts[1].deep = True
     file.parts[1].attribute("oiio:subimagename", "fog")
     with pytest.raises(OutputError, match="part 'fog' is deep"):
-        file.save_as("out.exr", {})
+        save_as(file, "out.exr", {})
 
 
 def test_tiles_and_windows_are_kept(tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_tiles_and_windows_are_kept(tmp_path: Path) -> None:
     spec.tile_width = spec.tile_height = 16
     spec.x, spec.y, spec.full_width, spec.full_height = 3, 5, 64, 48
     write(tmp_path / "in.exr", [(spec, values)])
-    ImageFile(tmp_path / "in.exr").save_as(tmp_path / "out.exr", {(0, 2): values[..., 0]})
+    save_as(ImageFile(tmp_path / "in.exr"), tmp_path / "out.exr", {(0, 2): values[..., 0]})
     after = ImageFile(tmp_path / "out.exr").parts[0]
     assert (after.tile_width, after.x, after.y, after.full_width) == (16, 3, 5, 64)
 

@@ -15,7 +15,7 @@ from pathfold.budget import Budget
 from pathfold.buffers import BUFFERS
 from pathfold.channels import Frame, samples
 from pathfold.denoiser import Denoiser, Result
-from pathfold.images import ImageError, ImageFile, Layer
+from pathfold.images import ImageError, ImageFile, Layer, save_as, writing_mb
 
 _DISPLAY_REFERRED = ("uint8", "int8", "uint16", "int16")
 # Where the parts of `image.hdr.exr` lie in the convention of Open Image Denoise's tools.
@@ -70,7 +70,7 @@ def denoise_file(
                 buffers,
                 start=begin - reading,
                 samples_per_pixel=_samples_per_pixel(file),
-                later_mb=file.writing_mb(frame.color_layer.part),
+                later_mb=writing_mb(file, frame.color_layer.part),
             )
             ready, buffers, lines = choice.denoiser, dict(choice.buffers), choice.lines
         else:
@@ -97,7 +97,7 @@ def denoise_file(
         "pathfold:exposure": f"{done[0].result.report['exposure']:.7g}",
     }
     leave_out = [part] if part and not keep_samples else []
-    file.save_as(target, changed, leave_out=leave_out, metadata=notes)
+    save_as(file, target, changed, leave_out=leave_out, metadata=notes)
     return done
 
 

@@ -1,0 +1,25 @@
+"""Picture files: the parts, layers and channels of an EXR, read as arrays and written back with the rest
+untouched.
+"""
+
+from pathfold.images.errors import ImageError, OutputError
+from pathfold.images.layers import Layer
+from pathfold.images.read import ImageFile
+from pathfold.images.replace import check_output, check_writable, replacing
+from pathfold.images.write import HALF_MAX, MAX_CHANNELS, NewPart, save_as, write_parts, writing_mb
+
+__all__ = [
+    "HALF_MAX",
+    "MAX_CHANNELS",
+    "ImageError",
+    "ImageFile",
+    "Layer",
+    "NewPart",
+    "OutputError",
+    "check_output",
+    "check_writable",
+    "replacing",
+    "save_as",
+    "write_parts",
+    "writing_mb",
+]

@@ -1,0 +1,106 @@
+"""Picture files opened for reading: headers at once, pixels on demand."""
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813
+from numpy.typing import NDArray
+
+from pathfold.images.errors import ImageError, first_line
+from pathfold.images.layers import Layer, layers
+
+BAND = 64  # rows read or written at a time; a multiple of every scanline compression's block
+_KEPT_BYTES = 2 << 30  # a larger part is read layer by layer
+_SAMPLE = re.compile(r"samples\.(\d+)\..+")
+# A 64-sample file has thousands of channels, more than OpenImageIO opens by itself.
+oiio.attribute("limits:channels", 1 << 16)
+
+
+class ImageFile:
+    """A picture opened for reading: headers now, pixels on demand.
+
+    Raises ImageError where the file is missing, no picture, or has no pixels.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.input = _open(self.path)
+        self._kept: tuple[int, NDArray[np.float32]] | None = None
+        self.parts: list[oiio.ImageSpec] = []
+        while self.input.seek_subimage(len(self.parts), 0):
+            self.parts.append(self.input.spec().copy())
+        for spec in self.parts:
+            if spec.width < 1 or spec.height < 1 or spec.nchannels < 1:
+                raise ImageError(f"{self.path}: has no pixels ({spec.width}x{spec.height}, {spec.nchannels} channels)")
+        self.layers = layers(self.parts)
+
+    def part_name(self, part: int) -> str:
+        return str(self.parts[part].get_string_attribute("oiio:subimagename"))
+
+    @cached_property
+    def samples(self) -> tuple[int, list[str]] | None:
+        """The part that holds camera samples, and their numbers as channels write them; None where there are none."""
+        for part, spec in enumerate(self.parts):
+            if found := [match.group(1) for name in spec.channelnames if (match := _SAMPLE.fullmatch(name))]:
+                return part, sorted(set(found), key=int)
+        return None
+
+    def metadata(self) -> dict[str, object]:
+        """The first part's header entries."""
+        return {entry.name: entry.value for entry in self.parts[0].extra_attribs}
+
+    def layer(self, name: str) -> Layer | None:
+        """The first layer that goes by this name, upper and lower case alike."""
+        wanted = name.casefold()
+        return next((at for at in self.layers if wanted in (known.casefold() for known in at.names)), None)
+
+    def read(self, part: int, channels: Sequence[int]) -> NDArray[np.float32]:
+        """Channels of a part, height x width x len(channels), float32."""
+        spec = self.parts[part]
+        if 4 * spec.width * spec.height * spec.nchannels > _KEPT_BYTES:
+            first, last = min(channels), max(channels) + 1
+            pixels = self._checked(self.input.read_image(part, 0, first, last, oiio.FLOAT))
+            return np.ascontiguousarray(pixels[..., [number - first for number in channels]])
+        return np.ascontiguousarray(self._whole(part)[..., list(channels)])
+
+    def _whole(self, part: int) -> NDArray[np.float32]:
+        # All channels of a part are decompressed together, so the layers of one part are read in one go.
+        if self._kept is None or self._kept[0] != part:
+            count = self.parts[part].nchannels
+            self._kept = part, self._checked(self.input.read_image(part, 0, 0, count, oiio.FLOAT))
+        return self._kept[1]
+
+    def bands(self, part: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
+        """A part from top to bottom, all channels: (first row, rows x width x channels), float32."""
+        spec = self.parts[part]
+        self.input.seek_subimage(part, 0)
+        if spec.tile_width:
+            yield 0, self.read(part, range(spec.nchannels))
+            return
+        for row in range(0, spec.height, BAND):
+            last = min(row + BAND, spec.height)
+            rows = self.input.read_scanlines(
+                part, 0, spec.y + row, spec.y + last, spec.z, 0, spec.nchannels, oiio.FLOAT
+            )
+            yield row, self._checked(rows).reshape(last - row, spec.width, spec.nchannels)
+
+    def _checked(self, pixels: NDArray[Any] | None) -> NDArray[np.float32]:
+        if pixels is None:
+            raise ImageError(f"{self.path}: damaged: {first_line(self.input.geterror())}")
+        return pixels
+
+
+def _open(path: Path) -> oiio.ImageInput:
+    if not path.is_file():
+        raise ImageError(f"{path}: no such file" if not path.exists() else f"{path}: is not a file")
+    if not os.access(path, os.R_OK):
+        raise ImageError(f"{path}: may not be read (permission denied)")
+    opened = oiio.ImageInput.open(str(path))
+    if opened is None:
+        raise ImageError(f"{path}: not a picture that can be read: {first_line(oiio.geterror())}")
+    return opened
