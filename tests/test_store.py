@@ -81,9 +81,9 @@ def test_recovery_drops_cut_and_altered_files_and_takes_up_whole_ones(folder: Pa
     "line",
     [
         b"5",
-        b'{"format": 2}',
-        b'{"format": 2, "id": "view-1"}',
-        b'{"format": 2, "id": "view-1", "files": {}}',
+        b'{"format": 3}',
+        b'{"format": 3, "id": "view-1"}',
+        b'{"format": 3, "id": "view-1", "files": {}}',
         b"\x93\xff\x00binary",
     ],
 )
@@ -157,7 +157,7 @@ def test_an_empty_folder_says_how_to_fill_it(tmp_path: Path) -> None:
 
 def test_another_format_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "index.jsonl").write_text('{"format": 1, "id": "a", "spp": 16}\n')
-    with pytest.raises(ValueError, match=r"format 1, this version reads format 2: render it anew"):
+    with pytest.raises(ValueError, match=r"format 1, this version reads format 3: render it anew"):
         store.Store(tmp_path)
 
 

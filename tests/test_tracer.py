@@ -280,6 +280,51 @@ def test_other_objects_and_variants_are_named(scene: Any) -> None:
         mi.set_variant("llvm_ad_rgb")
 
 
+def test_first_hit_is_the_mirror_and_the_guides_are_what_it_shows() -> None:
+    """A mirror at distance 2 before the camera shows a wall at distance 3 behind it."""
+    red = {"type": "twosided", "b": {"type": "diffuse", "reflectance": scenes.rgb(0.6, 0.2, 0.1)}}
+    scene = scenes.load(
+        mirror={
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([0, 0, 2]).rotate([1, 0, 0], 180),
+            "bsdf": {"type": "conductor", "material": "none"},
+        },
+        wall={"type": "rectangle", "to_world": scenes.at(0, 0, -3, scale=9), "bsdf": red},
+        sky={"type": "constant"},
+        sensor=scenes.camera([0, 0, 0], [0, 0, 1], size=9, fov=80),
+    )
+    samples = trace(scene, spp=4, seed=1)
+    mirrored, missed = (slice(None), 4, 4), (slice(None), 0, 0)
+    np.testing.assert_allclose(samples.first_depth[mirrored], 2, rtol=0.01)
+    np.testing.assert_allclose(samples.depth[mirrored], 7, rtol=0.01)
+    np.testing.assert_array_equal(samples.first_albedo[mirrored], 1)
+    np.testing.assert_allclose(samples.albedo[mirrored][:, 1], 0.2, rtol=1e-3)
+    np.testing.assert_allclose(samples.first_normal[mirrored], [[0, 0, -1]] * 4, atol=1e-3)
+    assert (samples.first_albedo[missed] == 1).all() and not samples.first_depth[missed].any()
+    assert not samples.first_normal[missed].any() and not samples.visible[missed].any()
+    diffuse = samples.alpha[..., 0].astype(bool) & (samples.first_depth[..., 0] == samples.depth[..., 0])
+    np.testing.assert_array_equal(samples.first_normal[diffuse], samples.normal[diffuse])
+
+
+def test_visible_says_whether_light_reaches_the_first_surface() -> None:
+    scene = scenes.load(
+        floor=scenes.floor({"type": "diffuse"}),
+        roof={
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([3, 1, 0]).rotate([1, 0, 0], 90).scale(3),
+        },
+        lamp={"type": "directional", "direction": [0, -1, 0], "irradiance": scenes.rgb(1, 1, 1)},
+        sensor=scenes.camera([0, 0.5, -6], [0, -1, 0], size=16),
+    )
+    samples = trace(scene, spp=8, seed=1, max_depth=3)
+    on_floor = samples.first_normal[..., 1] > 0.5
+    lit = samples.radiance.sum(-1) > 0
+    assert on_floor.any() and (lit & on_floor).any() and (~lit & on_floor).any()
+    np.testing.assert_array_equal(samples.visible[on_floor][..., 0] > 0, lit[on_floor])
+    unsampled = trace(scene, spp=8, seed=1, max_depth=3, emitter_sampling=False)
+    assert not unsampled.visible.any()  # nothing runs into a directional light
+
+
 @only(scenes.glassware)
 def test_what_is_left_out_changes_nothing_else(scene: Any) -> None:
     whole = trace(scene, spp=2, seed=3)

@@ -165,7 +165,8 @@ def unneeded_fields(wanted: Collection[str]) -> set[str]:
         "descriptor": {"samples.descriptor"},
         "density": {"samples.density"},
     }
-    return {"position", "overlong", *(field for field, names in made_from.items() if not names & {*wanted})}
+    of_no_buffer = {"position", "overlong", "first_albedo", "first_normal", "first_depth", "visible"}
+    return {*of_no_buffer, *(field for field, names in made_from.items() if not names & {*wanted})}
 
 
 def write(path: Path, buffers: Block, samples: Block, metadata: Mapping[str, str | int | float]) -> None:

@@ -17,7 +17,7 @@ from pathfold.models import ALL_SAMPLES
 
 from . import descriptor, materials
 from .film import Film, opaque
-from .walk import Guides, Path, Settings, walk
+from .walk import Settings, Traced, walk
 
 MEANS = (
     *("color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth", "alpha"),
@@ -26,7 +26,8 @@ MEANS = (
 Columns = dict[str, list[Any]]  # of every field of Samples its channels, as device arrays
 Launch = Callable[..., Columns]  # trace_lanes, or that made ready once
 RECORDED = {"descriptor", "density", "overlong"}
-OPTIONAL = {"diffuse", "diffuse_albedo", "albedo", "normal", "depth", "alpha", "position", *RECORDED}
+FIRST_HIT = {"first_albedo", "first_normal", "first_depth", "visible"}
+OPTIONAL = {"diffuse", "diffuse_albedo", "albedo", "normal", "depth", "alpha", "position", *FIRST_HIT, *RECORDED}
 MAX_LANES = 2**32 // Layout().channels
 FROZEN = 16  # launches that one Frozen keeps ready
 CHUNK_LANES = 1 << 22  # samples that trace_mean holds at once
@@ -36,8 +37,10 @@ CHUNK_LANES = 1 << 22  # samples that trace_mean holds at once
 class Samples:
     """Camera samples as NumPy arrays S x H x W x C (memory S x C x H x W), linear radiance; fewer S of recorded paths.
 
-    Radiance, depth, position and density are float32, the rest float16. `normal` is in camera space and faces the
+    Radiance, depths, position and density are float32, the rest float16. Normals are in camera space and face the
     camera; `position` is the offset in pixels from the pixel centre; `alpha` is 1 where the sample met a surface.
+    Albedo, normal and depth are those of the first hit that is not a delta event, `first_...` those of the first
+    surface met; `visible` is 1 where that one's light sample is unoccluded, or the path then runs into an emitter.
     `descriptor` (6 + 5 * vertices channels, logarithms with DEAD_LOG for 0), `density` (log of the sampling density)
     and `overlong` (1 where a path has more vertices than were recorded) are None unless they were asked for, and
     whatever was left out is None.
@@ -51,6 +54,10 @@ class Samples:
     depth: NDArray[Any] = None  # type: ignore[assignment]
     alpha: NDArray[Any] = None  # type: ignore[assignment]
     position: NDArray[Any] = None  # type: ignore[assignment]
+    first_albedo: NDArray[Any] = None  # type: ignore[assignment]
+    first_normal: NDArray[Any] = None  # type: ignore[assignment]
+    first_depth: NDArray[Any] = None  # type: ignore[assignment]
+    visible: NDArray[Any] = None  # type: ignore[assignment]
     descriptor: NDArray[Any] | None = None
     density: NDArray[Any] | None = None
     overlong: NDArray[Any] | None = None
@@ -139,12 +146,13 @@ def trace(
         )
     surveyed = materials.survey(scene)
     first = min(recorded, spp)
+    first_hits = bool(FIRST_HIT.difference(leave_out))
     launched: list[tuple[int, int, Columns]] = []
     planes: dict[str, NDArray[Any]] = {}
     for begin, count, records in ((0, first, True), (first, spp - first, False)):
         if count == 0:
             continue
-        settings = Settings(max_depth, rr_depth, vertices, records, emitter_sampling, surveyed)
+        settings = Settings(max_depth, rr_depth, vertices, records, first_hits, emitter_sampling, surveyed)
         lanes = dr.arange(mi.UInt32, film.pixels * count)
         dr.eval(lanes)  # their number is the size of the launch, whatever it was made ready with
         numbers = Stream.entropy(seed, 0), opaque(begin * film.pixels)
@@ -165,15 +173,15 @@ def trace(
 def trace_lanes(
     scene: Any, camera: Any, film: Film, lanes: Any, entropy: Any, first: Any, settings: Settings, leave_out: frozenset
 ) -> Columns:
-    """Trace a path per lane; return the channels of all fields of `Samples` but those left out, one value per lane.
+    """Traced a path per lane; return the channels of all fields of `Samples` but those left out, one value per lane.
 
     `lanes` are UInt32 0 to S * H * W - 1 of `film`, sample-major: every channel is a plane S x H x W as it leaves the
     device. They take their random numbers from lane `first` of `entropy` on, UInt32 of width 1 each.
     """
     stream = Stream.seeded(entropy, lanes + first)
-    position, path, guides, record = trace_paths(scene, camera, film, lanes % opaque(film.pixels), stream, settings)
-    columns = pack(camera, path, guides, descriptor.half) | {"position": list(position)}
-    columns |= {} if record is None else descriptor.channels(record)
+    position, traced = trace_paths(scene, camera, film, lanes % opaque(film.pixels), stream, settings)
+    columns = pack(camera, traced, descriptor.half) | {"position": list(position)}
+    columns |= {} if traced.record is None else descriptor.channels(traced.record)
     return {name: channels for name, channels in columns.items() if name not in leave_out}
 
 
@@ -216,7 +224,7 @@ def trace_mean(
     """
     camera = check(scene, spp, seed, sensor, max_depth, rr_depth, 1)
     film = Film.of(camera)
-    settings = Settings(max_depth, rr_depth, 1, False, emitter_sampling, materials.survey(scene))
+    settings = Settings(max_depth, rr_depth, 1, False, False, emitter_sampling, materials.survey(scene))
     chunk = max(1, CHUNK_LANES // film.pixels)
     sums: dict[str, NDArray[np.float64]] = {}
     for index, first in enumerate(range(0, spp, chunk)):
@@ -224,8 +232,8 @@ def trace_mean(
         # Pixel-major lanes: the samples of a pixel lie side by side and are summed as a block.
         pixel = dr.arange(mi.UInt32, film.pixels * size) // opaque(size)
         stream = Stream.seeded(Stream.entropy(seed, 1, index), dr.arange(mi.UInt32, film.pixels * size))
-        _, path, guides, _ = trace_paths(scene, camera, film, pixel, stream, settings)
-        columns = pack(camera, path, guides, list)
+        _, traced = trace_paths(scene, camera, film, pixel, stream, settings)
+        columns = pack(camera, traced, list)
         finite = dr.full(mi.Bool, True, film.pixels * size)
         for channel in chain.from_iterable(columns.values()):
             finite &= dr.isfinite(channel)
@@ -294,32 +302,49 @@ class Stream:
 
 def trace_paths(
     scene: Any, camera: Any, film: Film, pixel: Any, sampler: Stream, settings: Settings
-) -> tuple[Any, Path, Guides, descriptor.Record | None]:
-    """Trace one path per lane through its pixel; return its film position first."""
+) -> tuple[Any, Traced]:
+    """Traced one path per lane through its pixel; return its film position first."""
     offset = film.sample(sampler.next_2d())
     aperture = sampler.next_2d() if camera.needs_aperture_sample() else mi.Point2f(0.5)
     ray, weight = camera.sample_ray(0, 0, film.place(pixel, offset), aperture)
     # Rays start at the near plane, distance at the camera.
     distance = dr.dot(ray.d, ray.o - camera.world_transform() @ mi.Point3f(0))
-    path, guides, record = walk(scene, sampler, ray, distance, settings)
-    path.radiance *= weight
-    path.diffuse *= weight
-    return offset, path, guides, record
+    traced = walk(scene, sampler, ray, distance, settings)
+    traced.path.radiance *= weight
+    traced.path.diffuse *= weight
+    return offset, traced
 
 
-def pack(camera: Any, path: Path, guides: Guides, narrow: Callable[[Any], list[Any]]) -> dict[str, list[Any]]:
+def pack(camera: Any, traced: Traced, narrow: Callable[[Any], list[Any]]) -> dict[str, list[Any]]:
     """Return the channels of every buffer as device arrays; `narrow` makes lists of guides, which bear float16."""
-    normal = camera.world_transform().inverse() @ guides.normal
-    normal = dr.select(guides.found, normal * dr.rsqrt(dr.maximum(dr.squared_norm(normal), 1e-20)), 0)
-    return {
+    path, guides, first = traced.path, traced.guides, traced.first
+    columns = {
         "radiance": list(path.radiance),
         "diffuse": list(path.diffuse),
         "depth": [guides.depth],
         "diffuse_albedo": narrow(guides.diffuse_albedo),
         "albedo": narrow(guides.albedo),
-        "normal": narrow(normal),
-        "alpha": narrow([dr.select(guides.covered, mi.Float(1), 0)]),
+        "normal": narrow(seen_from(camera, guides.normal, guides.found)),
+        "alpha": narrow([flag(guides.covered)]),
     }
+    if first is not None:
+        columns |= {
+            "first_albedo": narrow(first.albedo),
+            "first_normal": narrow(seen_from(camera, first.normal, first.met)),
+            "first_depth": [first.depth],
+            "visible": narrow([flag(first.visible)]),
+        }
+    return columns
+
+
+def seen_from(camera: Any, normal: Any, found: Any) -> Any:
+    """World-space normals as unit vectors in camera space, 0 where nothing was found."""
+    normal = camera.world_transform().inverse() @ normal
+    return dr.select(found, normal * dr.rsqrt(dr.maximum(dr.squared_norm(normal), 1e-20)), 0)
+
+
+def flag(on: Any) -> Any:
+    return dr.select(on, mi.Float(1), 0)
 
 
 def to_host(channels: list[Any], planes: NDArray[Any]) -> None:

@@ -21,6 +21,7 @@ class Settings:
     rr_depth: int | None
     vertices: int
     descriptors: bool
+    first_hits: bool
     emitter_sampling: bool
     lobes: materials.Lobes
 
@@ -91,6 +92,21 @@ class Guides:
 
 
 @dataclass
+class FirstHit:
+    """The first surface met, delta or not, and whether light reaches it; the defaults are those of a miss."""
+
+    albedo: Any
+    normal: Any
+    depth: Any
+    met: Any
+    visible: Any  # its light sample is unoccluded, or the walk ran into an emitter right after it
+
+    @staticmethod
+    def start() -> FirstHit:
+        return FirstHit(mi.Color3f(1), mi.Normal3f(0), mi.Float(0), mi.Bool(False), mi.Bool(False))
+
+
+@dataclass
 class Hit:
     """One interaction: where it is, what is there, and the direction in which the walk leaves it."""
 
@@ -116,24 +132,36 @@ class Light:
     pdf: Any
 
 
-def walk(scene: Any, sampler: Any, ray: Any, distance: Any, settings: Settings) -> tuple[Path, Guides, Record | None]:
-    """Trace one path per lane from `ray`, which starts `distance` from the camera; return what it gathered."""
+@dataclass
+class Traced:
+    """What a path gathers."""
 
-    def body(sampler: Any, path: Path, guides: Guides, record: Record | None) -> tuple[Any, ...]:
-        step(scene, sampler, path, guides, record, settings)
-        return sampler, path, guides, record
+    path: Path
+    guides: Guides
+    first: FirstHit | None
+    record: Record | None
 
+
+def walk(scene: Any, sampler: Any, ray: Any, distance: Any, settings: Settings) -> Traced:
+    """Traced one path per lane from `ray`, which starts `distance` from the camera; return what it gathered."""
+
+    def body(sampler: Any, *state: Any) -> tuple[Any, ...]:
+        step(scene, sampler, Traced(*state), settings)
+        return sampler, *state
+
+    first = FirstHit.start() if settings.first_hits else None
     record = Record.empty(settings.vertices) if settings.descriptors else None
-    state = (sampler, Path.start(ray), Guides.start(distance), record)
+    state = (sampler, Path.start(ray), Guides.start(distance), first, record)
     limit = settings.max_depth if settings.max_depth > 0 else None
     out = dr.while_loop(state, lambda sampler, path, *_: path.active, body, label="pathfold", max_iterations=limit)
-    return out[1:]
+    return Traced(*out[1:])
 
 
-def step(scene: Any, sampler: Any, path: Path, guides: Guides, record: Record | None, settings: Settings) -> None:
+def step(scene: Any, sampler: Any, traced: Traced, settings: Settings) -> None:
     """Advance every path by one interaction."""
+    path, record = traced.path, traced.record
     si = scene.ray_intersect(path.ray, mi.RayFlags.All, path.depth == 0)
-    emits = find_light(scene, si, path, record, settings)
+    emits = find_light(scene, si, traced, settings)
     hit, light = interact(scene, sampler, si, emits, path, settings)
 
     first = hit.on & ~path.split
@@ -141,8 +169,8 @@ def step(scene: Any, sampler: Any, path: Path, guides: Guides, record: Record | 
     share = diffuse_share(hit, hit.sample.wo, hit.weight * hit.sample.pdf, leaves, settings)
     alpha = roughness(hit, settings) if record is not None else None
     if settings.emitter_sampling:
-        connect(hit, light, first, alpha, path, record, settings)
-    gather_guides(guides, hit, settings)
+        connect(hit, light, first, alpha, traced, settings)
+    gather_guides(traced, hit, settings)
     if record is not None:
         sampled = hit.sample.sampled_type
         vertex = sampled_vertex(hit.weight * hit.sample.pdf, sampled, alpha)
@@ -167,8 +195,9 @@ def power_heuristic(a: Any, b: Any) -> Any:
     return dr.select(dr.isfinite(weight), weight, 0)
 
 
-def find_light(scene: Any, si: Any, path: Path, record: Record | None, settings: Settings) -> Any:
+def find_light(scene: Any, si: Any, traced: Traced, settings: Settings) -> Any:
     """Add the light that the walk ran into; return where a surface emits."""
+    path = traced.path
     ds = mi.DirectionSample3f(scene, si, path.last)
     found = ds.emitter != None  # noqa: E711
     emitted = ds.emitter.eval(si, found & (path.last_pdf > 0))
@@ -178,8 +207,10 @@ def find_light(scene: Any, si: Any, path: Path, record: Record | None, settings:
         weight = power_heuristic(path.last_pdf, density)
     gathered = path.throughput * emitted * weight
     path.add(gathered, path.share)
-    if record is not None:
-        record.find_light(gathered, emitted)
+    if traced.record is not None:
+        traced.record.find_light(gathered, emitted)
+    if traced.first is not None:
+        traced.first.visible |= (path.depth == 1) & (dr.max(emitted) > 0)
     return found & si.is_valid()
 
 
@@ -201,10 +232,9 @@ def interact(scene: Any, sampler: Any, si: Any, emits: Any, path: Path, settings
     return hit, Light(ds, weight, lit, wo, value, pdf)
 
 
-def connect(
-    hit: Hit, light: Light, first: Any, alpha: Any, path: Path, record: Record | None, settings: Settings
-) -> None:
+def connect(hit: Hit, light: Light, first: Any, alpha: Any, traced: Traced, settings: Settings) -> None:
     """Add the light that was sampled at a hit."""
+    path, record = traced.path, traced.record
     # Past the split the share of the light's direction is needed for tags alone.
     wanted = light.on & first if record is None else light.on
     share = diffuse_share(hit, light.wo, light.value, wanted, settings)
@@ -214,6 +244,8 @@ def connect(
     if record is not None:
         vertex = light_vertex(light.value, hit.si.wi.z * light.wo.z < 0, share, alpha)
         record.sample_light(gathered, light.weight * light.sample.pdf, light.sample.pdf, vertex)
+    if traced.first is not None:
+        traced.first.visible |= light.on & (path.depth == 0) & (dr.max(light.weight) > 0)
 
 
 def diffuse_share(hit: Hit, wo: Any, value: Any, wanted: Any, settings: Settings) -> Any:
@@ -235,21 +267,31 @@ def roughness(hit: Hit, settings: Settings) -> Any:
     return dr.dispatch(hit.bsdf, materials.roughness, hit.si, glossy)
 
 
-def gather_guides(guides: Guides, hit: Hit, settings: Settings) -> None:
+def gather_guides(traced: Traced, hit: Hit, settings: Settings) -> None:
     """Fix the guides at the first hit that scatters off a non-delta lobe, or emits, or ends the path."""
+    guides, first = traced.guides, traced.first
     guides.distance += dr.select(hit.valid, hit.si.t, 0)
-    guides.covered |= hit.valid & ~mi.has_flag(hit.sample.sampled_type, mi.BSDFFlags.Null)
+    meets = hit.valid & ~mi.has_flag(hit.sample.sampled_type, mi.BSDFFlags.Null)
+    guides.covered |= meets
     here = hit.valid & ~guides.found & (hit.emits | ~hit.delta)
-    diffuse, albedo = dr.dispatch(hit.bsdf, materials.reflectance, hit.si, here)
+    wanted = here if first is None else here | (meets & ~first.met)
+    diffuse, albedo = dr.dispatch(hit.bsdf, materials.reflectance, hit.si, wanted)
     albedo = dr.select(hit.emits, mi.Color3f(1), dr.clip(albedo, 0, 1))
     normal = hit.si.sh_frame.n
     if settings.lobes.mapped:
-        normal = dr.dispatch(hit.bsdf, materials.normal, hit.si, here)
+        normal = dr.dispatch(hit.bsdf, materials.normal, hit.si, wanted)
+    normal = dr.mulsign(normal, hit.si.wi.z)
     guides.diffuse_albedo = dr.select(here, dr.clip(diffuse, 0, 1), guides.diffuse_albedo)
     guides.albedo = dr.select(here, albedo, guides.albedo)
-    guides.normal = dr.select(here, dr.mulsign(normal, hit.si.wi.z), guides.normal)
+    guides.normal = dr.select(here, normal, guides.normal)
     guides.depth = dr.select(here, guides.distance, guides.depth)
     guides.found |= here
+    if first is not None:
+        begins = meets & ~first.met
+        first.albedo = dr.select(begins, albedo, first.albedo)
+        first.normal = dr.select(begins, normal, first.normal)
+        first.depth = dr.select(begins, guides.distance, first.depth)
+        first.met |= begins
 
 
 def roulette(sampler: Any, path: Path, record: Record | None, depth: int) -> None:

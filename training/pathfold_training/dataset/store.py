@@ -1,13 +1,15 @@
-"""The data set on disk, format 2: references that are kept, and noisy samples that can be rendered again at any spp.
+"""The data set on disk, format 3: references that are kept, and noisy samples that can be rendered again at any spp.
 
 DIR/index.jsonl                  a line per view: scene description (seeds, camera, licence), spp, size and checksum of
                                  its files; the last line of an id counts.
 DIR/references/<id>.safetensors  the whole view, float32 [C, H, W]: reference.color, .diffuse, .diffuse.albedo,
                                  .half_a.color, .half_b.color; importance [H, W], weights of mean 1 for drawing crops.
 DIR/samples/<id>.safetensors     a shard with N crops of the view, [N, S, C, h, w]. float32: samples.radiance, .diffuse,
-                                 .depth, .density; float16: samples.diffuse.albedo, .albedo, .normal, .descriptor.
-                                 `crops` in the index says where they lie: [[y, x], ...]. .density and .descriptor are
-                                 of the first `described` of S samples. May be deleted to save space.
+                                 .depth; float16: samples.diffuse.albedo, .albedo, .normal. Of the first `described`
+                                 of S samples, float32: samples.density, .first.depth; float16: samples.descriptor,
+                                 .position, .alpha, .first.albedo, .first.normal, .visible (pathfold.mitsuba.Samples
+                                 says what they are). `crops` in the index says where they lie: [[y, x], ...]. May be
+                                 deleted to save space.
 DIR/cleaned/<id>-<n>-<key>.npy   crop n of the reference without most of its noise (clean.py), [3, h, w]; may be
                                  deleted.
 
@@ -32,7 +34,7 @@ from ..files import write_whole
 
 Arrays = dict[str, NDArray[Any]]
 Line = dict[str, Any]
-FORMAT = 2
+FORMAT = 3
 NEEDED = {"format", "id", "files", "scene", "split", "spp", "described"}  # in a line
 NEEDED |= {"crop", "crops", "exposure", "depth_scale"}
 REFERENCES, SAMPLES = KINDS = "references", "samples"

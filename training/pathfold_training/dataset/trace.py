@@ -20,7 +20,7 @@ from .truth import depth_scale, exposure, importance, render_truth
 
 LIBRARY_DEPTH = 6  # scenes of a library state depths up to 65; one value keeps the data alike, and cost grows with it
 LANES = 1 << 22  # samples traced in one call
-DESCRIBED = 16  # samples of a pixel whose paths are kept: most of the bytes, and networks look at few of them
+DESCRIBED = 16  # samples of a pixel of which all is kept: most of the bytes, and networks look at few of them
 BUSY = threading.Lock()  # Mitsuba's variant and its threads belong to the process: one view at a time
 
 
@@ -116,7 +116,7 @@ def choose_crops(weight: NDArray[Any], side: int, count: int, seed: NDArray[np.u
 
 
 def _samples(scene: Any, task: Task, line: Line) -> Arrays:
-    """Noisy samples of the view's crops, [N, S, C, h, w], paths of at most DESCRIBED; equal tasks give equal samples.
+    """Noisy samples of the view's crops, [N, S, C, h, w]; equal tasks give equal samples.
 
     All paths are traced alike: a second kernel, for those that are not kept, takes longer to compile than it saves.
     """
@@ -130,21 +130,31 @@ def _samples(scene: Any, task: Task, line: Line) -> Arrays:
         parts = []
         for first in range(0, task.spp, chunk):
             seed = int(entropy(task.seed, task.id, "samples", number, first)[0])
-            parts.append(trace(scene, min(chunk, task.spp - first), seed, line["max_depth"]))
+            spp = min(chunk, task.spp - first)
+            parts.append(trace(scene, spp, seed, line["max_depth"], leave_out={"overlong"}))
         crop = {name: np.concatenate([_plane(part, name) for part in parts]) for name in SAMPLE_TYPES}
-        crops.append(crop | {name: crop[name][:DESCRIBED] for name in ("descriptor", "density")})
+        crops.append(crop | {name: crop[name][:DESCRIBED] for name in DESCRIBED_TYPES})
     return {f"samples.{name}": np.stack([crop[name] for crop in crops]) for name in SAMPLE_TYPES}
 
 
+DESCRIBED_TYPES = {  # of at most DESCRIBED samples
+    "density": np.float32,
+    "descriptor": np.float16,
+    "position": np.float16,
+    "alpha": np.float16,
+    "first.albedo": np.float16,
+    "first.normal": np.float16,
+    "first.depth": np.float32,
+    "visible": np.float16,
+}
 SAMPLE_TYPES = {
     "radiance": np.float32,
     "diffuse": np.float32,
     "depth": np.float32,
-    "density": np.float32,
     "diffuse.albedo": np.float16,
     "albedo": np.float16,
     "normal": np.float16,
-    "descriptor": np.float16,
+    **DESCRIBED_TYPES,
 }
 
 
