@@ -1,5 +1,6 @@
 """Which channels of a file are which buffer (mapping), and its block of samples (samples)."""
 
-from pathfold.channels.mapping import ALL_LIGHT, Frame, Preset, Source, describe, detect, load, match, presets
+from pathfold.channels.mapping import ALL_LIGHT, Frame, Source, describe, load, match
+from pathfold.channels.presets import Preset, detect, presets
 
 __all__ = ["ALL_LIGHT", "Frame", "Preset", "Source", "describe", "detect", "load", "match", "presets"]

@@ -1,37 +1,20 @@
-"""Which channels of a file are which buffer: one preset per renderer, as data (the .toml files beside this
-one).
-
-A preset is chosen where every layer of `detect.layers` is in the file, or any header entry of
-`detect.metadata` is. Patterns are layer names, upper and lower case alike; a `*` stands for the same text
-(the view layer) in all patterns of one frame. For each buffer the first entry that is in the file counts; a
-table instead of a name derives it:
-    { sum = [NAMES], times = NAME }          radiance that the renderer splits further, or divides by its
-    colour
-    { layer = NAME, divide_by = "ENTRY" }    the variance of one sample, to be divided by the header's
-    sample count
-`[output]` says where a result goes when not in the place it was read from.
-"""
+"""Which channels of a file are which buffer, by the rows of a preset."""
 
 import re
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
-from functools import cache
-from importlib.resources import files
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pathfold.buffers import BUFFERS
+from pathfold.channels.presets import Preset, detect, presets
 from pathfold.images import ImageError, ImageFile, Layer
 
 # Header entry: "diffuse" or "specular", the part of the radiance that is all of color; the other part is 0.
 ALL_LIGHT = "pathfold:all_light"
 _SPLIT = ("diffuse", "specular", "diffuse.albedo", "diffuse.variance", "specular.variance")
-# Tried in this order: unmistakable writers first; the last one takes whatever is left.
-_ORDER = ("pathfold", "cycles", "vray", "renderman", "pbrt", "arnold", "mitsuba", "common")
 
 
 @dataclass(frozen=True)
@@ -63,18 +46,6 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Preset:
-    """One writer's conventions, as read from its .toml file."""
-
-    name: str
-    title: str
-    buffers: Mapping[str, list[Any]]
-    detect: Mapping[str, Any]
-    output: Mapping[str, str] = field(default_factory=dict)
-    miss_depth: float = float("inf")
-
-
-@dataclass(frozen=True)
 class Frame:
     """One picture of a file (a file may hold several view layers or stereo views) and its buffers."""
 
@@ -90,16 +61,6 @@ class Frame:
     def lines(self) -> list[str]:
         """The mapping, one line per buffer, for people."""
         return [f"{name} <- {self.sources[name]}" for name in BUFFERS if name in self.sources]
-
-
-@cache
-def presets() -> tuple[Preset, ...]:
-    """All presets, in the order they are tried."""
-    loaded = []
-    for name in _ORDER:
-        data = tomllib.loads((files(__package__) / f"{name}.toml").read_text(encoding="utf-8"))
-        loaded.append(Preset(name=name, **data))
-    return tuple(loaded)
 
 
 def match(file: ImageFile, overrides: Mapping[str, str] | None = None) -> list[Frame]:
@@ -118,23 +79,6 @@ def match(file: ImageFile, overrides: Mapping[str, str] | None = None) -> list[F
     lacks = [letter for letter in "RGB" if main and letter not in main.channels]
     missing = f" and lacks {','.join(lacks)}" if len(lacks) in (1, 2) else ""
     raise ImageError(f"{file.path}: no color found; it has {describe(file)}{missing}; name it with --map color=LAYER")
-
-
-def detect(file: ImageFile) -> Preset:
-    """The preset of the program that wrote the file, as far as it can be told."""
-    entries = {name: str(value) for name, value in file.metadata().items()}
-    for preset in presets():
-        header = preset.detect.get("metadata", {})
-        if any(
-            fnmatchcase(name.lower(), key.lower()) and fnmatchcase(value, wanted)
-            for key, wanted in header.items()
-            for name, value in entries.items()
-        ):
-            return preset
-        wanted = preset.detect.get("layers")
-        if wanted is not None and all(_matches(file, pattern) for pattern in wanted):
-            return preset
-    raise AssertionError("the last preset takes every file")
 
 
 def load(file: ImageFile, frame: Frame, name: str) -> NDArray[np.float32]:
