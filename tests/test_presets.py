@@ -5,6 +5,7 @@ import tomllib
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import pytest
 from exr_files import noise, part, write
 from pathfold import channels
@@ -283,6 +284,23 @@ def test_the_table_of_renderers_says_what_presets_say() -> None:
                 for name in named
                 if name.removeprefix("*.") not in known and not any(k.endswith(name.strip(".")) for k in known)
             ] == []
+
+
+@pytest.mark.parametrize(
+    ("layer", "header"),
+    [("depth", {}), ("VRayZDepth", {}), ("dd", {"generatedBy": "Mitsuba 3"}), ("depth", {"pathfold:version": "1"})],
+)
+@pytest.mark.parametrize("far", [1e9, 1e10, 1e30, float(np.finfo(np.float32).max)])
+def test_depths_too_far_to_be_any_are_misses(layer: str, header: dict, far: float, tmp_path: Path) -> None:
+    file = written(tmp_path / "a.exr", {"": RGB, layer: "Z"}, **header)
+    depth = file.read(0, [3])
+    pixels = np.concatenate([file.read(0, [0, 1, 2]), depth], -1)
+    pixels[2, 3, 3] = far
+    kinds = ["float"] * 4
+    file = ImageFile(write(tmp_path / "b.exr", [part("", file.parts[0].channelnames, kinds, pixels, **header)]))
+    (frame,) = channels.match(file)
+    depth[2, 3] = 0
+    assert np.array_equal(channels.load(file, frame, "depth"), depth) and depth.max() > 0
 
 
 def test_a_header_tells_rows_that_mean_something_else_elsewhere(tmp_path: Path) -> None:

@@ -84,8 +84,8 @@ def match(file: ImageFile, overrides: Mapping[str, str] | None = None) -> list[F
 def load(file: ImageFile, frame: Frame, name: str) -> NDArray[np.float32]:
     """A buffer's pixels, height x width x channels, float32."""
     pixels = _evaluate(file, frame.sources[name], BUFFERS[name])
-    if name == "depth" and np.isfinite(frame.preset.miss_depth):
-        pixels[pixels >= 0.99 * frame.preset.miss_depth] = 0
+    if name == "depth":
+        pixels[pixels >= frame.preset.farthest] = 0
     # Half-float passes need not add up to the last bit; a difference is radiance, never negative.
     return np.maximum(pixels, 0) if frame.sources[name].subtract else pixels
 

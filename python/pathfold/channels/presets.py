@@ -43,7 +43,12 @@ class Preset:
     detect: Mapping[str, Any]
     output: Mapping[str, str] = field(default_factory=dict)
     miss_albedo: float | str | None = None  # None: nobody says, so the pixels are asked
-    miss_depth: float = FARTHEST
+    miss_depth: float | None = None
+
+    @property
+    def farthest(self) -> float:
+        """Depths from here on are misses."""
+        return min(FARTHEST, 0.99 * self.miss_depth) if self.miss_depth else FARTHEST
 
 
 @cache
