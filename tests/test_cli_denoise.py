@@ -35,6 +35,17 @@ def test_denoise_map_layer_and_exposure(run, tmp_path: Path) -> None:
     assert (before.read(0, range(7, 10)) != after.read(0, range(7, 10))).all((0, 1)).any()
 
 
+def test_denoise_says_what_it_made_of_an_albedo(run, tmp_path: Path) -> None:
+    names = [*RGB, "A", *(f"albedo.{c}" for c in RGB)]
+    values = noise(7) / 4
+    values[:4, :, 3:] = 0
+    source = write(tmp_path / "in.exr", [part("", names, ["float"] * 7, values, Software="appleseed 2.1")])
+    code, out, _ = run("denoise", source, "-o", tmp_path / "out.exr", "-m", "single-3")
+    assert code == 0 and "made 1 in" not in out  # this model reads no albedo
+    code, out, _ = run("denoise", source, "-o", tmp_path / "out.exr", "-m", "split-5")
+    assert code == 0 and "  albedo is 0 on misses: made 1 in" in out and "by coverage (alpha)" in out
+
+
 def test_denoise_says_what_it_left_out(run, tmp_path: Path) -> None:
     source = with_samples(tmp_path / "in.exr", specular=0)
     arguments = ["denoise", source, "-o", tmp_path / "out.exr", "-m", "split-5"]

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from exr_files import SIZE, noise, part, write
-from pathfold import Denoiser
-from pathfold.files import denoise_file
+from pathfold import Denoiser, channels
+from pathfold.files import denoise_file, read
 from pathfold.images import ImageError, ImageFile
 
 RGB = "RGB"
@@ -25,6 +25,25 @@ def pixels(file: ImageFile, name: str) -> np.ndarray:
     layer = file.layer(name)
     assert layer
     return file.read(layer.part, layer.pick(3) or [])
+
+
+@pytest.mark.parametrize("told_by", ["alpha", "normal"])
+def test_an_albedo_that_is_0_on_misses_is_completed(tiny: Path, tmp_path: Path, told_by: str) -> None:
+    width, height = SIZE
+    names = [*RGB, "A", *(f"albedo.{c}" for c in RGB), *(f"nn.{c}" for c in "XYZ"), "dd.T"]
+    values, covered = noise(len(names)), np.zeros((height, width, 1), np.float32)
+    covered[:, :5], covered[:, 5] = 1, 0.25
+    values[..., 3:4] = covered if told_by == "alpha" else 1
+    values[..., 4:7], values[..., 7:10], values[..., 10:] = 0.4 * covered, covered * np.float32([0.6, 0, -0.8]), covered
+    header = {"generatedBy": "Mitsuba version 3.9.1"}
+    file = ImageFile(write(tmp_path / "in.exr", [part("", names, ["float"] * len(names), values, **header)]))
+    (frame,) = channels.match(file)
+    buffers, converted = read(file, frame, ["color"], ["albedo"])
+    assert buffers["albedo"] == pytest.approx((values[..., 4:7] + 1 - covered), abs=1e-6)
+    assert set(buffers) == {"color", "alpha", "albedo"} and len(converted) == 1
+    count = (covered < 1).sum()
+    assert converted[0].startswith(f"albedo is 0 on misses: made 1 in {count} pixels, by coverage ({told_by}")
+    assert np.array_equal(file.read(0, [4, 5, 6]), values[..., 4:7])  # the file's own stay
 
 
 def test_each_eye_keeps_its_own_layers(tiny: Path, tmp_path: Path) -> None:

@@ -116,8 +116,9 @@ class Denoiser:
 
         Images are height x width x channels (one-channel ones may be height x width), float32 or float16,
         any strides:
-        `color`, `diffuse`, `specular`: linear radiance >= 0; `diffuse_albedo`, `albedo` in [0, 1]; `normal`
-        in [-1, 1]; `depth` > 0, 0 on a miss; `alpha` in [0, 1]; the variances are those of the pixel mean.
+        `color`, `diffuse`, `specular`: linear radiance >= 0; `diffuse_albedo` in [0, 1]; `albedo` in [0, 1],
+        1 on a miss and on visible lights; `normal` in [-1, 1], in camera space, 0 on a miss; `depth` > 0, 0 on a
+        miss; `alpha` in [0, 1]; the variances are those of the pixel mean.
         `samples`: {"descriptor": S x H x W x C, "density": S x H x W x 1, "valid": S x H x W x 1
         (optional)}; C is 6 + 5 * vertices, at most 6 of them, fewer where no path of the frame has more.
         `samples_per_pixel` of the frame, 0: as many as there are in `samples`, which may hold the first ones alone

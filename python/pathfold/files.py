@@ -35,6 +35,7 @@ class Denoised:
     layers: tuple[str, ...] = ()
     lost: int = 0  # the number of pixels where not one has finite color: the result is black
     budget: tuple[str, ...] = ()  # what was chosen to stay inside a budget, and what was given up for it
+    converted: tuple[str, ...] = ()  # what was made of the file's buffers at reading
 
 
 def denoise_file(
@@ -64,7 +65,7 @@ def denoise_file(
     for number, (frame, extra) in enumerate(zip(frames, _extra(file, frames, layers), strict=True)):
         lines: list[str] = []
         if isinstance(denoiser, Budget):
-            buffers = read(file, frame, ["color"], sorted(denoiser.reads), guides or siblings(source))
+            buffers, converted = read(file, frame, ["color"], sorted(denoiser.reads), guides or siblings(source))
             reading = perf_counter() - begin
             choice = denoiser.choose(
                 buffers,
@@ -75,7 +76,8 @@ def denoise_file(
             ready, buffers, lines = choice.denoiser, dict(choice.buffers), choice.lines
         else:
             ready = denoiser
-            buffers = read(file, frame, ready.model.requires, ready.model.uses, guides or siblings(source))
+            wanted = ready.model.requires, ready.model.uses
+            buffers, converted = read(file, frame, *wanted, guides or siblings(source))
         result = ready.run_buffers(
             buffers,
             layers={_key(layer): {"color": file.read(layer.part, at)} for layer, at in extra},
@@ -88,7 +90,8 @@ def denoise_file(
         changed |= _changes(frame, result)
         for layer, at in extra:
             changed |= _places(layer.part, at, result.layers[_key(layer)])
-        done.append(Denoised(frame, result, tuple(layer.name or "R,G,B" for layer, _ in extra), lost, tuple(lines)))
+        names = tuple(layer.name or "R,G,B" for layer, _ in extra)
+        done.append(Denoised(frame, result, names, lost, tuple(lines), tuple(converted)))
         begin = perf_counter()
     part = samples.find(file)
     notes = {
@@ -116,16 +119,22 @@ def read(
     requires: Sequence[str],
     uses: Sequence[str],
     guides: Mapping[str, Path] | None = None,
-) -> Buffers:
-    """The buffers of a frame that a model reads, and its alpha.
+) -> tuple[Buffers, list[str]]:
+    """The buffers of a frame that a model reads, and its alpha; and what was made of them, a line each.
 
     Raises ImageError that names what the file has where it lacks a required one.
     """
     wanted = {"color", "alpha", *requires, *uses}
-    buffers: Buffers = {name: channels.load(file, frame, name) for name in frame.sources if name in wanted}
+    told_by = {"normal", "depth"} if "albedo" in wanted else set()  # what is covered
+    buffers: Buffers = {name: channels.load(file, frame, name) for name in frame.sources if name in wanted | told_by}
     for name, path in (guides or {}).items():
-        if name in wanted:
+        if name in wanted | told_by:
             buffers[name] = _guide(path, name, frame)
+    converted = []
+    if "albedo" in buffers and (made := channels.complete_albedo(buffers, frame.preset.miss_albedo)):
+        buffers["albedo"], line = made
+        converted.append(line)
+    buffers = {name: pixels for name, pixels in buffers.items() if name in wanted}
     if any(name.startswith("samples.") for name in wanted) and samples.find(file) is not None:
         block = samples.load(file)
         buffers |= {f"samples.{name}": pixels for name, pixels in block.items()}
@@ -134,7 +143,7 @@ def read(
             f"{file.path}: {', '.join(missing)} required by the model is not there; "
             f"found {', '.join(frame.sources)} ({frame.preset.title}); the file has {channels.describe(file)}"
         )
-    return buffers
+    return buffers, converted
 
 
 def siblings(source: Path) -> dict[str, Path]:

@@ -1,6 +1,18 @@
-"""Which channels of a file are which buffer (mapping), and its block of samples (samples)."""
+"""Which channels of a file are which buffer (presets, mapping, convert), and its block of samples (samples)."""
 
+from pathfold.channels.convert import complete_albedo
 from pathfold.channels.mapping import ALL_LIGHT, Frame, Source, describe, load, match
 from pathfold.channels.presets import Preset, detect, presets
 
-__all__ = ["ALL_LIGHT", "Frame", "Preset", "Source", "describe", "detect", "load", "match", "presets"]
+__all__ = [
+    "ALL_LIGHT",
+    "Frame",
+    "Preset",
+    "Source",
+    "complete_albedo",
+    "describe",
+    "detect",
+    "load",
+    "match",
+    "presets",
+]

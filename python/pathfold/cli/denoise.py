@@ -104,7 +104,7 @@ def denoise(
             for one in done:
                 for line in frame_lines(noisy, one.frame) if number == 0 else ():
                     console.say(line)
-                for line in one.budget if number == 0 else ():
+                for line in (*one.converted, *one.budget) if number == 0 else ():
                     console.say(f"  {line}")
                 if one.layers:
                     console.say(f"  filtered alike: {', '.join(one.layers)}")

@@ -267,7 +267,9 @@ PATHFOLD_API void pathfold_denoiser_release(pathfold_denoiser *denoiser);
 /* Sets a buffer of the frame: "color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth",
  * "alpha", "variance", "diffuse.variance", "specular.variance", "samples.descriptor", "samples.density",
  * "samples.valid". A descriptor may have fewer than 6 vertices (6 + 5 channels for each) where no path of the
- * frame has more. The pixels must live until the run is over. A null image takes the buffer away.
+ * frame has more. Normals are in camera space. Where a ray hits nothing, albedo is 1, as on visible lights (a
+ * renderer that writes 0 there adds 1 - alpha), normal and depth are 0.
+ * The pixels must live until the run is over. A null image takes the buffer away.
  * PATHFOLD_INVALID_ARGUMENT: no such name, wrong channels, no size. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_input(pathfold_denoiser *denoiser,
                                                                            const char *name,

@@ -1,0 +1,81 @@
+"""What a renderer writes where a ray hits nothing, made what models are trained on: albedo 1, depth 0.
+
+Depths too far to be any are misses, and encoded normals are decoded, in the SDK for everybody; what a renderer's
+albedo is on a miss only its preset can say.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pathfold.channels.presets import FARTHEST
+
+_REACH = 2  # pixels around a miss in which a short normal tells a pixel that is partly covered
+_NOTHING = 1e-3
+
+Image = NDArray[np.float32]
+
+
+def complete_albedo(buffers: Mapping[str, Image], on_miss: float | str | None) -> tuple[Image, str] | None:
+    """The albedo with what is not covered counted as 1, and a line on it; None where it is so already.
+
+    `buffers`: height x width x channels. `on_miss`: what the writer puts where nothing was hit, a number or "sky"
+    (as it shines: the SDK's clamp makes 1 of most skies); None where it is not known: then the pixels tell.
+    """
+    albedo = buffers["albedo"]
+    known = _coverage(buffers)
+    if known is None or isinstance(on_miss, str):
+        return None
+    covered, told_by = known
+    misses = covered[..., 0] < _NOTHING
+    if on_miss is None:
+        on_miss = 0.0 if misses.any() and np.nanmedian(albedo[misses]) < _NOTHING else 1.0
+    # What is not covered gives on_miss, so more than the rest could give shows that this albedo is of something else.
+    believed = albedo.max(-1, keepdims=True) <= covered + (1 - covered) * on_miss + 0.02
+    lack = np.where(believed, (1 - covered) * (1 - on_miss), 0).astype(np.float32)
+    count = int((lack > _NOTHING).sum())
+    if not count:
+        return None
+    return albedo + lack, f"albedo is {on_miss:g} on misses: made 1 in {count} pixels, by coverage ({told_by})"
+
+
+def _coverage(buffers: Mapping[str, Image]) -> tuple[Image, str] | None:
+    """How much of each pixel shows a surface, height x width x 1, and by what; None where nothing tells it.
+
+    By alpha where it tells a background. Else by the normals' length near misses: elsewhere they are short where
+    they differ within a pixel.
+    """
+    alpha, normal, depth = (buffers.get(name) for name in ("alpha", "normal", "depth"))
+    if alpha is not None and (alpha < 1 - _NOTHING).any() and (alpha > _NOTHING).any():
+        return np.clip(np.nan_to_num(alpha, nan=1.0), 0, 1), "alpha"
+    if normal is None and depth is None:
+        return None
+    hit = np.ones((*next(iter(buffers.values())).shape[:2], 1), bool)
+    covered = np.ones(hit.shape, np.float32)
+    if depth is not None:
+        hit = (depth > 0) & (depth < FARTHEST)
+    if normal is not None:
+        covered = _lengths(normal)
+        hit = hit & (covered > _NOTHING) if depth is None else hit | (covered > _NOTHING)
+    if not hit.any():
+        return None
+    covered = np.where(_near(~hit), np.minimum(covered, 1), 1)
+    return np.where(hit, covered, 0).astype(np.float32), "normals" if normal is not None else "depth"
+
+
+def _lengths(normal: Image) -> Image:
+    """The length of each normal, 0 where it is not finite; normals without a negative value are 0.5 n + 0.5."""
+    finite = np.nan_to_num(normal, nan=0.0, posinf=0.0, neginf=0.0)
+    decoded = np.where((finite != 0).any(-1, keepdims=True), 2 * finite - 1, 0) if (finite >= 0).all() else finite
+    return np.linalg.norm(decoded, axis=-1, keepdims=True).astype(np.float32)
+
+
+def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The pixels of a mask and those within reach of one."""
+    for axis in (0, 1):
+        padding = [(0, 0)] * mask.ndim
+        padding[axis] = (_REACH, _REACH)
+        padded, size = np.pad(mask, padding), mask.shape[axis]
+        mask = np.any([padded.take(range(at, at + size), axis) for at in range(2 * _REACH + 1)], axis=0)
+    return mask
