@@ -1,6 +1,6 @@
 """Which channels of a file are which buffer (presets, mapping, convert), and its block of samples (samples)."""
 
-from pathfold.channels.convert import complete_albedo
+from pathfold.channels.convert import complete_albedo, encoded
 from pathfold.channels.mapping import ALL_LIGHT, Frame, Source, describe, load, match
 from pathfold.channels.presets import Preset, detect, presets
 
@@ -12,6 +12,7 @@ __all__ = [
     "complete_albedo",
     "describe",
     "detect",
+    "encoded",
     "load",
     "match",
     "presets",

@@ -40,6 +40,19 @@ def complete_albedo(buffers: Mapping[str, Image], on_miss: float | str | None) -
     return albedo + lack, f"albedo is {on_miss:g} on misses: made 1 in {count} pixels, by coverage ({told_by})"
 
 
+def encoded(normal: Image) -> bool:
+    """Whether normals are stored as 0.5 n + 0.5, which the SDK decodes: by its rule (sdk/src/guides).
+
+    None is negative, and as means of unit vectors they are hardly ever longer than one; few are unit as they stand.
+    """
+    length, decoded = (np.linalg.norm(one, axis=-1) for one in (normal, 2 * normal - 1))
+    hit = np.asarray((length > 0.1) & (decoded > 0.1))
+    hits, pixels = int(hit.sum()), hit.size
+    negative = int((normal.min(-1) < -0.01).sum())
+    longer, near, plain = (int(one[hit].sum()) for one in (decoded > 1.05, decoded > 0.9, np.abs(length - 1) < 0.1))
+    return hits > 0 and 1000 * negative <= pixels and 100 * longer <= hits <= 5 * near and 10 * plain < 9 * hits
+
+
 def _coverage(buffers: Mapping[str, Image]) -> tuple[Image, str] | None:
     """How much of each pixel shows a surface, height x width x 1, and by what; None where nothing tells it.
 

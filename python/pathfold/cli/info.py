@@ -8,26 +8,33 @@ from typing import Annotated, Any
 
 import typer
 
-from pathfold import _core, channels, models
-from pathfold.buffers import BUFFERS
-from pathfold.channels import samples
-from pathfold.cli import console
-from pathfold.cli.denoise import frame_lines
+from pathfold import _core, models
+from pathfold import sheet as sheets
+from pathfold.cli import console, picture
 from pathfold.denoiser import Denoiser
-from pathfold.images import ImageError, ImageFile
 
 
 def info(
     subject: Annotated[str, typer.Argument(metavar="[FILE|MODEL]", help="A picture, or a model.")] = "",
+    sheet: Annotated[
+        Path | None,
+        typer.Option(metavar="SHEET.png", help="Draw each layer of the picture, with what it was taken for."),
+    ] = None,
 ) -> None:
     """Tell about a picture (its layers, and which buffer each would be), a model, or the installation."""
-    if not subject:
-        lines = installation()
-    elif Path(subject).is_file() or (Path(subject).suffix.lower() == ".exr" and not Path(subject).is_dir()):
-        lines = picture(Path(subject))
-    else:
-        lines = model(subject)
-    for line in lines:
+    path = Path(subject)
+    if subject and (path.is_file() or (path.suffix.lower() == ".exr" and not path.is_dir())):
+        if sheet:
+            sheets.check(sheet)
+        seen = picture.look(path)
+        picture.tell(seen)
+        if sheet:
+            picture.draw(seen, sheet)
+            console.say(f"{sheet}")
+        return
+    if sheet:
+        raise typer.BadParameter("--sheet draws the layers of a picture; name an EXR")
+    for line in model(subject) if subject else installation():
         console.say(line)
 
 
@@ -71,26 +78,3 @@ def reconstruction(block: dict[str, Any]) -> str:
     branches = ", ".join(branch["name"] for branch in block["branches"])
     size = f" {block['size']}x{block['size']}" if "size" in block else ""
     return f"{block['operator']}{size} ({branches})"
-
-
-def picture(path: Path) -> Iterator[str]:
-    """The parts and layers of a file and the buffers that they would be."""
-    file = ImageFile(path)
-    for number, spec in enumerate(file.parts):
-        name = f" '{file.part_name(number)}'" if file.part_name(number) else ""
-        kinds = ", ".join(sorted({str(kind) for kind in spec.channelformats or (spec.format,)}))
-        yield f"part {number}{name}: {spec.width}x{spec.height}, {spec.nchannels} channels, {kinds}"
-        for layer in file.layers:
-            if layer.part == number and not layer.name.startswith("samples."):
-                yield f"  {layer.name or '(main)'}: {', '.join(layer.channels)}"
-        if samples.find(file) == number:
-            count, spp = samples.count(file), file.metadata().get("pathfold:spp", 0)
-            of_all = f" of {spp}" if isinstance(spp, int) and spp > count else ""
-            yield f"  {count}{of_all} samples per pixel with path descriptors"
-    try:
-        for frame in channels.match(file):
-            yield from frame_lines(path, frame)
-            if absent := [buffer for buffer in BUFFERS if buffer not in frame.sources]:
-                yield f"  not found: {', '.join(absent)}"
-    except ImageError as error:
-        yield str(error)
