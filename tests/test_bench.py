@@ -15,6 +15,7 @@ pytest.importorskip("flip_evaluator")
 pytest.importorskip("skimage")
 pytest.importorskip("pyoidn")
 
+from exr_files import part, write
 from pathfold import PathfoldError, metrics
 from pathfold.bench import candidates, cold, subjects
 from pathfold.bench.about import command
@@ -190,6 +191,16 @@ def test_pictures_and_sequences(run, tmp_path: Path) -> None:
     one = tmp_path / "one"
     assert run("bench", folder / "8spp.####.exr", "-o", one, "--methods", "noisy")[0] == 0
     assert {r["spp"] for r in records(one)} == {8} and {r["scene"] for r in records(one)} == {"shot-8spp"}
+
+
+def test_pictures_are_read_as_denoise_reads_them(tmp_path: Path) -> None:
+    names = [*"RGB", "A", *(f"albedo.{c}" for c in "RGB")]
+    covered = np.linspace(0, 1, 32, dtype=np.float32)[None, :, None].repeat(24, 0)
+    values = np.concatenate([np.ones((24, 32, 3), np.float32), covered, 0.5 * covered.repeat(3, -1)], -1)
+    write(tmp_path / "4spp.exr", [part("", names, ["float"] * 7, values, generatedBy="Mitsuba 3")])
+    Reference(values[..., :3]).save(tmp_path / "reference.exr")
+    shot = subjects.PictureSubject(tmp_path, "shot", subjects.Options()).shoot(0, 4, 0, (), (32, 24), True)
+    assert shot.buffers["albedo"] == pytest.approx((0.5 * covered + 1 - covered).repeat(3, -1), abs=1e-6)
 
 
 def test_what_fails_is_told_and_the_rest_goes_on(run, tmp_path: Path) -> None:
