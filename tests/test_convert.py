@@ -43,6 +43,23 @@ def test_what_is_not_covered_counts_as_1(told_by: str) -> None:
     assert f"in {count} pixels, by coverage ({told_by.replace('encoded', 'normals')})" in made[1]
 
 
+def test_thin_cover_is_followed_from_misses_and_creases_are_not() -> None:
+    coverage = np.ones((*SIZE, 1), np.float32)
+    coverage[:3], coverage[3:15] = 0, 0.25  # a fence out of focus, before a sky and then before a wall
+    normal = coverage * np.float32([0, 0.6, -0.8])
+    normal[18:22] *= 0.3  # creased
+    buffers = {"albedo": 0.4 * coverage.repeat(3, -1), "normal": normal, "depth": 5 * coverage}
+    assert completed(buffers) == pytest.approx((0.4 * coverage + 1 - coverage).repeat(3, -1), abs=1e-5)
+
+
+def test_completing_a_large_picture_ends() -> None:
+    rng = np.random.default_rng(4)
+    normal = rng.uniform(0, 1, (700, 900, 1)).astype(np.float32) * np.float32([0, 0, -1])
+    normal[rng.uniform(size=(700, 900)) < 0.3] = 0
+    buffers = {"albedo": np.zeros_like(normal), "normal": normal}
+    assert completed(buffers).min() >= 0 and completed(buffers).max() <= 1
+
+
 @pytest.mark.parametrize("kept", ["covered", "one", "sky", "nothing tells", "another's alpha", "no hit", "bad"])
 def test_what_needs_no_change_stays_to_the_bit(kept: str) -> None:
     buffers, coverage = scene()

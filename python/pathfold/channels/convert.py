@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 from pathfold.channels.presets import FARTHEST
 
-_REACH = 2  # pixels around a miss in which a short normal tells a pixel that is partly covered
+# A normal that is shorter than one tells a pixel that is partly covered, or one in which normals differ. The former is
+# near misses, at most so far away, or so are all pixels from there to a miss whose normals are as short as this.
+_REACH = 2
+_SHORT = 0.6
 _NOTHING = 1e-3
 
 Image = NDArray[np.float32]
@@ -56,8 +59,7 @@ def encoded(normal: Image) -> bool:
 def _coverage(buffers: Mapping[str, Image]) -> tuple[Image, str] | None:
     """How much of each pixel shows a surface, height x width x 1, and by what; None where nothing tells it.
 
-    By alpha where it tells a background. Else by the normals' length near misses: elsewhere they are short where
-    they differ within a pixel.
+    By alpha where it tells a background. Else by the normals' length near misses.
     """
     alpha, normal, depth = (buffers.get(name) for name in ("alpha", "normal", "depth"))
     if alpha is not None and (alpha < 1 - _NOTHING).any() and (alpha > _NOTHING).any():
@@ -71,24 +73,41 @@ def _coverage(buffers: Mapping[str, Image]) -> tuple[Image, str] | None:
     if normal is not None:
         covered = _lengths(normal)
         hit = hit & (covered > _NOTHING) if depth is None else hit | (covered > _NOTHING)
-    if not hit.any():
+    if hit.all() or not hit.any():
         return None
-    covered = np.where(_near(~hit), np.minimum(covered, 1), 1)
+    thin = _near(_grown(~hit[..., 0], covered[..., 0] < _SHORT), _REACH)
+    covered = np.where(thin[..., None], np.minimum(covered, 1), 1)
     return np.where(hit, covered, 0).astype(np.float32), "normals" if normal is not None else "depth"
 
 
 def _lengths(normal: Image) -> Image:
     """The length of each normal, 0 where it is not finite; normals without a negative value are 0.5 n + 0.5."""
-    finite = np.nan_to_num(normal, nan=0.0, posinf=0.0, neginf=0.0)
-    decoded = np.where((finite != 0).any(-1, keepdims=True), 2 * finite - 1, 0) if (finite >= 0).all() else finite
-    return np.linalg.norm(decoded, axis=-1, keepdims=True).astype(np.float32)
+    finite = normal if np.isfinite(normal).all() else np.nan_to_num(normal, nan=0.0, posinf=0.0, neginf=0.0)
+    square = np.einsum("yxc,yxc->yx", finite, finite)[..., None]
+    if finite.min() >= 0:  # |2 n - 1|^2
+        square = np.where(square > 0, 4 * (square - finite.sum(-1, keepdims=True)) + 3, 0)
+    return np.sqrt(np.maximum(square, 0))
 
 
-def _near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The pixels of a mask and those within reach of one."""
+def _near(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """The pixels of a mask, height x width, and those within reach of one."""
     for axis in (0, 1):
-        padding = [(0, 0)] * mask.ndim
-        padding[axis] = (_REACH, _REACH)
+        padding = [(0, 0), (0, 0)]
+        padding[axis] = (reach, reach)
         padded, size = np.pad(mask, padding), mask.shape[axis]
-        mask = np.any([padded.take(range(at, at + size), axis) for at in range(2 * _REACH + 1)], axis=0)
+        mask = np.any([padded.take(range(at, at + size), axis) for at in range(2 * reach + 1)], axis=0)
     return mask
+
+
+def _grown(seed: NDArray[np.bool_], through: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The pixels of `seed` and those of `through` that are connected with them."""
+    left = np.pad(through & ~seed, 1)
+    grown = np.pad(seed, 1)
+    row = left.shape[1]
+    around = np.array([-row - 1, -row, -row + 1, -1, 1, row - 1, row, row + 1])
+    front = np.flatnonzero(left & _near(grown, 1))
+    while front.size:
+        left.flat[front], grown.flat[front] = False, True
+        met = (front[:, None] + around).ravel()
+        front = np.unique(met[left.flat[met]])
+    return grown[1:-1, 1:-1]
