@@ -32,6 +32,11 @@ def written(path: Path, parts: dict[str, Layers] | Layers, **header: object) -> 
 # renderer -> case -> (layout, header, what each buffer is taken from)
 LAYOUTS: dict[str, dict[str, tuple[dict, dict, dict[str, str]]]] = {
     "cycles": {
+        "an AOV of the user's own": (
+            {"VL.Combined": RGBA, "VL.Albedo": RGB, "VL.Denoising Albedo": RGB},
+            {"BlenderMultiChannel": "Blender V2.55.1 and newer"},
+            {"color": "VL.Combined", "albedo": "VL.Denoising Albedo"},
+        ),
         "one part": (
             {"VL.Combined": RGBA, "VL.Depth": "V", "VL.Denoising Albedo": RGB, "VL.Denoising Normal": XYZ},
             {},

@@ -1,8 +1,8 @@
 """What each renderer calls its channels, as data (the .toml files beside this one), and which one wrote a file.
 
 A preset is chosen where the file has all layers of one list of `detect.layers`, or any header entry of
-`detect.metadata`. Patterns are layer names, upper and lower case alike; in the buffers' rows a `*` stands for the
-same text (the view layer) in all patterns of one frame. For each buffer the first row that is in the file counts;
+`detect.metadata`; layers' names count there as they are written. In the buffers' rows upper and lower case are alike,
+and a `*` stands for the same text (the view layer) in all patterns of one frame. For each buffer the first row that is in the file counts;
 a table instead of a name derives it:
     { sum = [NAMES], times = NAME }          radiance that the renderer splits further, or divides by its colour
     { layer = NAME, divide_by = "ENTRY" }    the variance of one sample, to be divided by the header's sample count
@@ -69,7 +69,7 @@ def presets() -> tuple[Preset, ...]:
 def detect(file: ImageFile) -> Preset:
     """The preset of the program that wrote the file, as far as it can be told."""
     entries = {name.lower(): str(value) for name, value in file.metadata().items()}
-    names = {name.casefold() for layer in file.layers for name in layer.names}
+    names = {name for layer in file.layers for name in layer.names}
     return next(preset for preset in presets() if _wrote(preset, entries, names))
 
 
@@ -97,4 +97,4 @@ def _wrote(preset: Preset, entries: Mapping[str, str], names: set[str]) -> bool:
 
 
 def _has(names: set[str], pattern: str) -> bool:
-    return any(fnmatchcase(name, pattern.casefold()) for name in names)
+    return any(fnmatchcase(name, pattern) for name in names)
