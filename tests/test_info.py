@@ -79,6 +79,14 @@ def test_no_color_is_told_and_drawn(run, tmp_path: Path) -> None:
     assert picture(drawn).std() > 0.1
 
 
+def test_a_picture_for_a_display_is_told_to_be_none_to_denoise(run, tmp_path: Path) -> None:
+    buffer = oiio.ImageBuf(noise(3) / 4)
+    assert buffer.write(str(tmp_path / "a.png"), "uint8")
+    code, out, _ = run("info", tmp_path / "a.png")
+    assert code == 0 and ["color", "R,G,B", "0", "R,G,B", "uint8", "12x9"] in rows(out)
+    assert "a.png: holds uint8 display values; linear floating point is needed (EXR)" in out
+
+
 def test_a_damaged_file_is_told_and_drawn(run, tmp_path: Path) -> None:
     source, drawn = layered(tmp_path / "a.exr", {"": "RGBA", "albedo": RGB}), tmp_path / "sheet.png"
     held = source.read_bytes()

@@ -15,7 +15,7 @@ from pathfold import channels, sheet
 from pathfold.buffers import BUFFERS
 from pathfold.channels import Frame, samples
 from pathfold.cli.console import harmless
-from pathfold.files import read
+from pathfold.files import open_linear, read
 from pathfold.images import ImageError, ImageFile, Layer
 
 _COLUMNS = ("layer", "part", "channels", "type", "window")
@@ -36,12 +36,14 @@ class Picture:
 
 
 def look(path: Path) -> Picture:
-    """Open a picture and map it. Raises ImageError where it is none; `problem` is why no beauty was found."""
-    file = ImageFile(path)
+    """Open a picture and map it. Raises ImageError where it is none; `problem` is why it could not be denoised."""
+    file, frames = ImageFile(path), []
     try:
-        return Picture(file, channels.match(file))
+        frames = channels.match(file)
+        open_linear(path)
     except ImageError as error:
-        return Picture(file, (), str(error))
+        return Picture(file, frames, str(error))
+    return Picture(file, frames)
 
 
 def tell(picture: Picture) -> None:
