@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pathfold.channels.convert import complete_albedo
+from pathfold.channels.convert import complete_albedo, encoded
 
 SIZE = (24, 32)
 Buffers = dict[str, np.ndarray]
@@ -99,6 +99,18 @@ def test_far_depths_are_misses(far: float) -> None:
     del buffers["normal"]
     buffers["depth"] = np.where(coverage > 0, buffers["depth"], np.float32(far))
     assert completed(buffers)[:, 20:] == pytest.approx(1)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-40])
+@pytest.mark.parametrize("name", ["albedo", "normal", "depth", "alpha"])
+def test_any_value_anywhere_is_borne(name: str, value: float) -> None:
+    buffers, coverage = scene()
+    buffers["alpha"] = coverage.copy() if name == "alpha" else np.ones_like(coverage)
+    buffers[name][::3] = value
+    made = completed(buffers)
+    assert made.shape == buffers["albedo"].shape and made[1, 25] == pytest.approx(1)
+    encoded(buffers["normal"])
 
 
 def test_values_that_are_not_finite_stay_theirs() -> None:

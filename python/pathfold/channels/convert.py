@@ -48,6 +48,7 @@ def encoded(normal: Image) -> bool:
 
     None is negative, and as means of unit vectors they are hardly ever longer than one; few are unit as they stand.
     """
+    normal = _bounded(normal)
     length, decoded = (np.linalg.norm(one, axis=-1) for one in (normal, 2 * normal - 1))
     hit = np.asarray((length > 0.1) & (decoded > 0.1))
     hits, pixels = int(hit.sum()), hit.size
@@ -82,11 +83,16 @@ def _coverage(buffers: Mapping[str, Image]) -> tuple[Image, str] | None:
 
 def _lengths(normal: Image) -> Image:
     """The length of each normal, 0 where it is not finite; normals without a negative value are 0.5 n + 0.5."""
-    finite = normal if np.isfinite(normal).all() else np.nan_to_num(normal, nan=0.0, posinf=0.0, neginf=0.0)
-    square = np.einsum("yxc,yxc->yx", finite, finite)[..., None]
-    if finite.min() >= 0:  # |2 n - 1|^2
-        square = np.where(square > 0, 4 * (square - finite.sum(-1, keepdims=True)) + 3, 0)
+    normal = _bounded(normal)
+    square = np.einsum("yxc,yxc->yx", normal, normal)[..., None]
+    if normal.min() >= 0:  # |2 n - 1|^2
+        square = np.where(square > 0, 4 * (square - normal.sum(-1, keepdims=True)) + 3, 0)
     return np.sqrt(np.maximum(square, 0))
+
+
+def _bounded(normal: Image) -> Image:
+    finite = normal if np.isfinite(normal).all() else np.nan_to_num(normal, nan=0.0, posinf=0.0, neginf=0.0)
+    return np.clip(finite, -2, 2)
 
 
 def _near(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
