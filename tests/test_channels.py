@@ -187,14 +187,6 @@ def test_no_color_names_what_there_is(tmp_path: Path) -> None:
         channels.match(one_part(tmp_path / "a.exr", {"diffuse_color": RGB, "normal": XYZ}))
 
 
-def test_sizes_that_differ_are_named(tmp_path: Path) -> None:
-    small = part("albedo", ["albedo.R", "albedo.G", "albedo.B"], ["half"] * 3, noise(3, size=(6, 9)))
-    small[0].full_width, small[0].full_height = SIZE
-    file = ImageFile(write(tmp_path / "a.exr", [part("rgb", ["R", "G", "B"], ["half"] * 3, noise(3)), small]))
-    with pytest.raises(ImageError, match=r"albedo \(albedo\) is 6x9, color is 12x9; .*--map albedo=none"):
-        channels.match(file)
-
-
 def sample_block(count: int = 3) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(5)
     shape = (count, SIZE[1], SIZE[0])

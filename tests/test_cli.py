@@ -99,7 +99,7 @@ def failing(tmp_path: Path) -> dict[str, tuple[list[object], int, str]]:
         "no samples": (["denoise", good, *out[:2], "-m", "samples-5"], 3, "samples.density, samples.descriptor"),
         "no such layer": (["denoise", good, *out, "--map", "normal=N"], 3, "no such layer; it has R,G,B, albedo"),
         "bad map": (["denoise", good, *out, "--map", "normal"], 2, "--map normal: write BUFFER=LAYER"),
-        "guide size": (["denoise", good, *out, "--alb", small], 3, "small.exr: 8x8, the picture is 12x9"),
+        "guide size": (["denoise", good, *out, "--alb", small], 3, "small.exr: 8x8 at 0,0 in a frame of 8x8"),
         "no model": (["denoise", good, *out[:2], "-m", "nope"], 4, 'no model "nope"; models found: '),
         "no provider": (["denoise", good, *out, "--provider", "warp"], 4, "provider warp"),
         "no output": (["denoise", good], 2, "Missing option '-o'"),

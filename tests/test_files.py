@@ -99,12 +99,12 @@ def test_a_layer_that_cannot_be_filtered_is_said(tiny: Path, tmp_path: Path) -> 
     size = (SIZE[0] // 2, SIZE[1])
     main = part("main", [*RGB, "motion.U", "motion.V"], ["float"] * 5, noise(5))
     half = part("half", ["half.R", "half.G", "half.B"], ["float"] * 3, noise(3, size=size))
-    half[0].full_width = SIZE[0]
+    half[0].full_width, half[0].x = SIZE[0], SIZE[0]
     source, target = write(tmp_path / "in.exr", [main, half]), tmp_path / "out.exr"
     for pattern, reason in {
-        "half": "half is 6x9, the picture is 12x9",
+        "half": "half is 6x9 at 12,0, beside the picture, 12x9 at 0,0",
         "motion": "motion has U, V; R, G, B or one channel can be filtered",
-        "main": "R,G,B is the picture itself",
+        "main": "main is the picture itself",
     }.items():
         with pytest.raises(ImageError, match=f"--layer {pattern}: nothing to filter: .*{reason}"):
             denoise_file(source, target, Denoiser("single-3"), layers=[pattern])

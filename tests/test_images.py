@@ -114,7 +114,7 @@ def test_layers_of_parts(tmp_path: Path) -> None:
     ]
     file = ImageFile(write(tmp_path / "parts.exr", parts))
     assert [layer.names for layer in file.layers] == [
-        ("", "rgba"),
+        ("rgba", ""),
         ("albedo", "rgba.albedo"),
         ("normal",),
         ("VL.Depth",),

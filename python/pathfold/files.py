@@ -15,7 +15,7 @@ from pathfold.budget import Budget
 from pathfold.buffers import BUFFERS
 from pathfold.channels import Frame, samples
 from pathfold.denoiser import Denoiser, Result
-from pathfold.images import ImageError, ImageFile, Layer, save_as, writing_mb
+from pathfold.images import ImageError, ImageFile, Layer, Window, lay, save_as, writing_mb
 
 _DISPLAY_REFERRED = ("uint8", "int8", "uint16", "int16")
 # Where the parts of `image.hdr.exr` lie in the convention of Open Image Denoise's tools.
@@ -53,19 +53,19 @@ def denoise_file(
     """Denoise every frame of a file and write it again; all else is kept, but for the noisy samples.
 
     `mapping` names layers for buffers, `layers` are patterns of further radiance layers to filter alike,
-    `guides` are files that hold the albedo or the normal, `exposures` one factor per frame (or one for all).
+    `guides` are files by the buffer that each holds, `exposures` one factor per frame (or one for all).
     A Budget in place of a denoiser chooses one; its clock runs from here, and writing counts as much as reading.
     Raises ImageError, OutputError or PathfoldError; the target appears whole or not at all.
     """
     begin = perf_counter()
     file = open_linear(source)
-    frames = channels.match(file, mapping)
+    frames = channels.match(file, mapping, guides or siblings(source))
     done: list[Denoised] = []
     changed: dict[tuple[int, int], Image] = {}
     for number, (frame, extra) in enumerate(zip(frames, _extra(file, frames, layers), strict=True)):
         lines: list[str] = []
         if isinstance(denoiser, Budget):
-            buffers, converted = read(file, frame, ["color"], sorted(denoiser.reads), guides or siblings(source))
+            buffers, converted = read(file, frame, ["color"], sorted(denoiser.reads))
             reading = perf_counter() - begin
             choice = denoiser.choose(
                 buffers,
@@ -76,21 +76,20 @@ def denoise_file(
             ready, buffers, lines = choice.denoiser, dict(choice.buffers), choice.lines
         else:
             ready = denoiser
-            wanted = ready.model.requires, ready.model.uses
-            buffers, converted = read(file, frame, *wanted, guides or siblings(source))
+            buffers, converted = read(file, frame, ready.model.requires, ready.model.uses)
         result = ready.run_buffers(
             buffers,
-            layers={_key(layer): {"color": file.read(layer.part, at)} for layer, at in extra},
+            layers={_key(layer): {"color": file.read_into(layer, at, frame.window, 0.0)} for layer, at in extra},
             samples_per_pixel=_samples_per_pixel(file),
             exposure=exposures[min(number, len(exposures) - 1)] if exposures else None,
             progress=progress,
         )
         finite = np.isfinite(buffers["color"]).all(-1)
         lost = 0 if finite.any() or result.color.any() else finite.size
-        changed |= _changes(frame, result)
+        changed |= _changes(file, frame, result)
         for layer, at in extra:
-            changed |= _places(layer.part, at, result.layers[_key(layer)])
-        names = tuple(layer.name or "R,G,B" for layer, _ in extra)
+            changed |= _places(file, layer, at, result.layers[_key(layer)], frame.window)
+        names = tuple(layer.label for layer, _ in extra)
         done.append(Denoised(frame, result, names, lost, tuple(lines), tuple(converted)))
         begin = perf_counter()
     part = samples.find(file)
@@ -118,7 +117,6 @@ def read(
     frame: Frame,
     requires: Sequence[str],
     uses: Sequence[str],
-    guides: Mapping[str, Path] | None = None,
 ) -> tuple[Buffers, list[str]]:
     """The buffers of a frame that a model reads, and its alpha; and what was made of them, a line each.
 
@@ -127,16 +125,13 @@ def read(
     wanted = {"color", "alpha", *requires, *uses}
     told_by = {"normal", "depth"} if "albedo" in wanted else set()  # what is covered
     buffers: Buffers = {name: channels.load(file, frame, name) for name in frame.sources if name in wanted | told_by}
-    for name, path in (guides or {}).items():
-        if name in wanted | told_by:
-            buffers[name] = _guide(path, name, frame)
     converted = []
-    if "albedo" in buffers and (made := channels.complete_albedo(buffers, frame.preset.miss_albedo)):
+    if "albedo" in buffers and (made := channels.complete_albedo(buffers, frame.writer("albedo").miss_albedo)):
         buffers["albedo"], line = made
         converted.append(line)
     buffers = {name: pixels for name, pixels in buffers.items() if name in wanted}
     if any(name.startswith("samples.") for name in wanted) and samples.find(file) is not None:
-        block = samples.load(file)
+        block = samples.load(file, frame.window)
         buffers |= {f"samples.{name}": pixels for name, pixels in block.items()}
     if missing := sorted(set(requires) - set(buffers)):
         raise ImageError(
@@ -154,19 +149,6 @@ def siblings(source: Path) -> dict[str, Path]:
     return {name: path for name, path in found.items() if path.is_file()}
 
 
-def _guide(path: Path, name: str, frame: Frame) -> Image:
-    """A guide from a file of its own: its main picture."""
-    file = ImageFile(path)
-    layer = file.layer("") or file.layer(name) or file.layers[0]
-    at = layer.pick(BUFFERS[name])
-    if at is None:
-        raise ImageError(f"{path}: no {name} found; it has {channels.describe(file)}")
-    if layer.size != frame.size:
-        width, height = frame.size
-        raise ImageError(f"{path}: {layer.size[0]}x{layer.size[1]}, the picture is {width}x{height}")
-    return file.read(layer.part, at)
-
-
 def _extra(file: ImageFile, frames: Sequence[Frame], patterns: Sequence[str]) -> list[Extra]:
     """The further radiance layers to filter alike, for each frame those of its own view and view layer.
 
@@ -182,14 +164,13 @@ def _extra(file: ImageFile, frames: Sequence[Frame], patterns: Sequence[str]) ->
             owner = _owner(frames, layer)
             at = layer.pick(3) or layer.pick(1)
             if owner is None:
-                refused.append(f"{layer.name} belongs to none of the file's pictures")
+                refused.append(f"{layer.label} belongs to none of the file's pictures")
             elif layer == frames[owner].color_layer:
-                refused.append(f"{layer.name or 'R,G,B'} is the picture itself")
-            elif layer.size != frames[owner].size:
-                sizes = ("{}x{}".format(*size) for size in (layer.size, frames[owner].size))
-                refused.append("{} is {}, the picture is {}".format(layer.name, *sizes))
+                refused.append(f"{layer.label} is the picture itself")
+            elif layer.window.common(frames[owner].window) is None:
+                refused.append(f"{layer.label} is {layer.window}, beside the picture, {frames[owner].window}")
             elif layer.part == samples.find(file) or not at:
-                refused.append(f"{layer.name} has {', '.join(layer.channels)}; R, G, B or one channel can be filtered")
+                refused.append(f"{layer.label} has {', '.join(layer.channels)}; R, G, B or one channel can be filtered")
             elif (layer, at) not in found[owner]:
                 found[owner].append((layer, at))
         if len(refused) == len(layers):
@@ -221,17 +202,24 @@ def _key(layer: Layer) -> str:
     return f"{layer.part}:{layer.name}"
 
 
-def _changes(frame: Frame, result: Result) -> dict[tuple[int, int], Image]:
+def _changes(file: ImageFile, frame: Frame, result: Result) -> dict[tuple[int, int], Image]:
     """What a result changes in the file: the beauty, and the buffers that stand in it as they are."""
     color = frame.color_layer
-    changed = _places(color.part, color.pick(3) or [], result.color)
+    changed = _places(file, color, color.pick(3) or [], result.color, frame.window)
     for name, pixels in result.images().items():
         source = frame.sources.get(name)
         if name != "color" and source and source.direct:
             layer = source.layers[0]
-            changed |= _places(layer.part, source.numbers(layer, BUFFERS[name]) or [], pixels)
+            changed |= _places(file, layer, source.numbers(layer, BUFFERS[name]) or [], pixels, frame.window)
     return changed
 
 
-def _places(part: int, at: Sequence[int], pixels: Image) -> dict[tuple[int, int], Image]:
-    return {(part, number): pixels[..., index] for index, number in enumerate(at)}
+def _places(
+    file: ImageFile, layer: Layer, at: Sequence[int], pixels: Image, window: Window
+) -> dict[tuple[int, int], Image]:
+    """Pixels over a window as the layer's channels, which stay as they are where the layer reaches beyond it."""
+    if layer.window != window:
+        pixels = lay(pixels, window, layer.window, file.read(layer.part, at))
+    # One channel may stand for all three colours: then it becomes their mean.
+    sharing = {number: [index for index, one in enumerate(at) if one == number] for number in at}
+    return {(layer.part, number): pixels[..., those].mean(-1) for number, those in sharing.items()}

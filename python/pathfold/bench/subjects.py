@@ -213,7 +213,7 @@ class PictureSubject:
             unlike = " and ".join(f"{width}x{height}" for width, height in (found.size, size))
             raise SubjectError(f"{file.path} and its reference are of unlike sizes, {unlike}")
         buffers: Buffers = {name: channels.load(file, found, name) for name in found.sources}
-        if "albedo" in buffers and (made := channels.complete_albedo(buffers, found.preset.miss_albedo)):
+        if "albedo" in buffers and (made := channels.complete_albedo(buffers, found.writer("albedo").miss_albedo)):
             buffers["albedo"], _ = made
         if max(recorded, default=0) and samples.find(file) is not None:
             buffers |= {f"samples.{name}": pixels for name, pixels in samples.load(file).items()}

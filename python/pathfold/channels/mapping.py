@@ -1,141 +1,195 @@
-"""Which channels of a file are which buffer, by the rows of a preset."""
+"""Which channels of a file, and of files beside it, are which buffer, by the rows of a preset.
 
-import re
-from collections.abc import Mapping
+A layer has one role: what is the beauty is never a guide, and no guide is two. An explicit name comes before a row.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pathfold.buffers import BUFFERS
+from pathfold.channels import words
+from pathfold.channels.beside import from_file
+from pathfold.channels.find import named, resolve, serves
+from pathfold.channels.pictures import Picture, main, none_found, pictures
 from pathfold.channels.presets import Preset, detect, presets
-from pathfold.images import ImageError, ImageFile, Layer
+from pathfold.channels.source import Source, evaluate
+from pathfold.images import ImageError, ImageFile, Layer, Window, views
 
 # Header entry: "diffuse" or "specular", the part of the radiance that is all of color; the other part is 0.
 ALL_LIGHT = "pathfold:all_light"
 _SPLIT = ("diffuse", "specular", "diffuse.albedo", "diffuse.variance", "specular.variance")
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where one buffer comes from: the sum of `layers`, times `factor`, divided by `divisor`."""
-
-    layers: tuple[Layer, ...]
-    component: str = ""  # a single channel by its letter: alpha
-    factor: Layer | None = None
-    divisor: float = 1.0
-    subtract: tuple["Source", ...] = ()
-
-    @property
-    def direct(self) -> bool:
-        """The buffer stands in the file as it is, so that a result can be written back in its place."""
-        return len(self.layers) == 1 and self.factor is None and self.divisor == 1.0 and not self.subtract
-
-    def numbers(self, layer: Layer, count: int) -> list[int] | None:
-        if not self.component:
-            return layer.pick(count)
-        return [layer.channels[self.component]] if self.component in layer.channels else None
-
-    def __str__(self) -> str:
-        text = " + ".join(_label(layer, self.component) for layer in self.layers)
-        text = f"({text})" if len(self.layers) > 1 and self.factor else text
-        text += f" * {_label(self.factor)}" if self.factor else ""
-        text += f" / {self.divisor:g}" if self.divisor != 1.0 else ""
-        return text + "".join(f" - ({part})" for part in self.subtract)
+_TOLD = 8  # layers named in one line
+# What a layer is used as; what divides radiance may divide all of it and its diffuse part.
+_ROLE = {
+    "diffuse": "light",
+    "specular": "light",
+    "diffuse.albedo": "albedo",
+    "diffuse.variance": "variance",
+    "specular.variance": "variance",
+}
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture of a file (a file may hold several view layers or stereo views) and its buffers."""
+    """One picture of a file (a file may hold several view layers or stereo views) and its buffers.
+
+    `notes`: what a person should know of the mapping, a line each.
+    """
 
     preset: Preset
     sources: Mapping[str, Source]
     color_layer: Layer  # where the result goes
-    view_layer: str = ""  # what the star of the preset's patterns stands for
+    view_layer: str = ""  # what the names of its layers begin with
+    several_parts: bool = False  # in the file
+    notes: tuple[str, ...] = ()
+
+    @property
+    def window(self) -> Window:
+        """Where the noisy picture lies; all buffers are laid there."""
+        return self.sources["color"].layers[0].window
 
     @property
     def size(self) -> tuple[int, int]:
-        return self.color_layer.size
+        """Width, height."""
+        return self.window.size
+
+    def writer(self, name: str) -> Preset:
+        """The conventions of the file that a buffer stands in."""
+        source = self.sources.get(name)
+        return source.preset if source and source.preset else self.preset
 
     def lines(self) -> list[str]:
         """The mapping, one line per buffer, for people."""
-        return [f"{name} <- {self.sources[name]}" for name in BUFFERS if name in self.sources]
+        return [f"{name} <- {self.sources[name].line(self.several_parts)}" for name in BUFFERS if name in self.sources]
 
 
-def match(file: ImageFile, overrides: Mapping[str, str] | None = None) -> list[Frame]:
+def match(
+    file: ImageFile, overrides: Mapping[str, str] | None = None, guides: Mapping[str, Path] | None = None
+) -> list[Frame]:
     """Find the frames of a file and their buffers.
 
-    `overrides`: buffer -> layer name, or "none" for a buffer that shall not be used.
-    Raises ImageError that names what the file has where no beauty is found or an override names nothing.
+    `overrides`: buffer -> layer name or channels ("X,Y,Z"), or "none" for a buffer that shall not be used.
+    `guides`: buffer -> a file that holds it, in which `overrides` then names the layer.
+    Raises ImageError that names what the file has where no beauty is found, where two layers could be it, where an
+    override names nothing, or where a layer would be two things.
     """
-    overrides = dict(overrides or {})
-    if unknown := sorted(set(overrides) - set(BUFFERS)):
+    overrides, guides = dict(overrides or {}), dict(guides or {})
+    if unknown := sorted({*overrides, *guides} - set(BUFFERS)):
         raise ImageError(f"unknown buffer '{unknown[0]}' in the mapping; there are {', '.join(BUFFERS)}")
+    for name in guides:
+        if overrides.get(name, "").lower() == "none":
+            raise ImageError(f"{guides[name]}: --map {name}=none leaves it out; give one of them")
+    opened = {name: ImageFile(path) for name, path in guides.items()}
     for preset in (detect(file), presets()[-1]):
-        if colors := _colors(file, preset, overrides):
-            return [_frame(file, preset, overrides, layer, star) for layer, star in colors]
-    main = file.layer("")
-    lacks = [letter for letter in "RGB" if main and letter not in main.channels]
-    missing = f" and lacks {','.join(lacks)}" if len(lacks) in (1, 2) else ""
-    raise ImageError(f"{file.path}: no color found; it has {describe(file)}{missing}; name it with --map color=LAYER")
+        if found := pictures(file, preset, overrides.get("color")):
+            frames = [_Mapper(file, preset, overrides, picture).frame(opened) for picture in found]
+            return _with_notes(file, frames, overrides)
+    raise none_found(file)
 
 
 def load(file: ImageFile, frame: Frame, name: str) -> NDArray[np.float32]:
-    """A buffer's pixels, height x width x channels, float32."""
-    pixels = _evaluate(file, frame.sources[name], BUFFERS[name])
+    """A buffer's pixels as they lie in the frame's window, height x width x channels, float32."""
+    source = frame.sources[name]
+    pixels = evaluate(file, source, name, BUFFERS[name], frame.window)
     if name == "depth":
-        pixels[pixels >= frame.preset.farthest] = 0
+        pixels[pixels >= frame.writer(name).farthest] = 0
     # Half-float passes need not add up to the last bit; a difference is radiance, never negative.
-    return np.maximum(pixels, 0) if frame.sources[name].subtract else pixels
+    return np.maximum(pixels, 0) if source.subtract else pixels
 
 
-def describe(file: ImageFile) -> str:
-    """The layers of a file in one line, for messages."""
-    names = sorted({_label(layer) for layer in file.layers if "samples." not in layer.name})
-    shown = ", ".join(names[:24])
-    return shown + (f" and {len(names) - 24} more layers" if len(names) > 24 else "")
+class _Mapper:
+    """The buffers of one picture, found one after another; each takes its channels from the others."""
 
+    def __init__(self, file: ImageFile, preset: Preset, overrides: Mapping[str, str], picture: Picture) -> None:
+        self._file, self._preset, self._overrides = file, preset, overrides
+        self._color, self._star = picture
+        self._main = main(file, self._color.view) or main(file, "")
+        self._sources = {"color": Source((self._color,))}
+        self._notes: list[str] = []
 
-def _colors(file: ImageFile, preset: Preset, overrides: Mapping[str, str]) -> list[tuple[Layer, str]]:
-    """Every beauty layer with the text that the star stands for."""
-    if "color" in overrides:
-        if overrides["color"].lower() == "none":
+    def frame(self, opened: Mapping[str, ImageFile]) -> Frame:
+        rest = [name for name in BUFFERS if name != "color"]
+        chosen = [name for name in rest if name in opened or name in self._overrides]
+        for name in (*chosen, *(name for name in rest if name not in chosen)):
+            if name in opened:
+                text = self._overrides.get(name)
+                self._add(name, from_file(opened[name], name, text, self._color, self._star, self._display()))
+            elif name not in chosen:
+                self._by_rows(name)
+            elif self._overrides[name].lower() != "none":
+                self._by_name(name, self._overrides[name])
+        sources = self._sources
+        if told := _all_light(self._file):
+            more = _told(told, sources)
+            sources = {name: source for name, source in more.items() if name not in self._overrides} | sources
+        output = self._preset.output.get("color")
+        target = resolve(self._file, output, self._star, self._color, self._main, "") if output else None
+        result = target.layers[0] if target and "color" not in self._overrides else self._color
+        several = len(self._file.parts) > 1
+        within = self._star if self._color.name.casefold().startswith(f"{self._star}.".casefold()) else ""
+        return Frame(self._preset, _complete_split(sources), result, within, several, tuple(self._notes))
+
+    def _display(self) -> Window | None:
+        return self._file.display(self._color.part)
+
+    def _by_rows(self, name: str) -> None:
+        component = "A" if name == "alpha" else ""
+        for row in self._preset.buffers.get(name, ()):
+            source = resolve(self._file, row, self._star, self._color, self._main, component)
+            fits = source and all(source.numbers(layer, BUFFERS[name]) for layer in source.layers)
+            if source and fits and not self._taken(name, source):
+                self._add(name, source)
+                return
+        if name == "alpha" and "A" in self._color.channels:
+            self._add(name, Source((self._color,), "A"))
+
+    def _by_name(self, name: str, text: str) -> None:
+        found = named(self._file, name, text)
+        fitting = [layer for layer in found if serves(layer, self._color.view, self._file)]
+        if not fitting:
+            self._notes.append(f"{name}: {text} is of view {found[0].view} and not used here")
+            return
+        layer = min(fitting, key=lambda one: (one.view != self._color.view, one.part != self._color.part))
+        source = Source((layer,))
+        if not source.numbers(layer, BUFFERS[name]):
+            has = ", ".join(layer.channels)
+            raise ImageError(f"{self._file.path}: {name} needs {BUFFERS[name]} channel(s); {layer.label} has {has}")
+        if other := self._taken(name, source):
             raise ImageError(
-                f"{file.path}: --map color=none: color is what is denoised; name its layer, or leave it away"
+                f"{self._file.path}: --map {name}={text}: {layer.label} is {other} already; name another layer, "
+                f"or leave it out with --map {name}=none"
             )
-        layer = _named(file, "color", overrides["color"])
-        patterns = preset.buffers["color"]
-        return [(layer, next((star for p in patterns if (star := _star(p, layer)) is not None), ""))]
-    found: dict[tuple[str, str], tuple[Layer, str]] = {}
-    for pattern in preset.buffers["color"]:
-        for layer, star in _matches(file, pattern):
-            if layer.pick(3):
-                found.setdefault((star, layer.view), (layer, star))
-        if found and "*" not in pattern:
-            break
-    return list(found.values())
+        self._add(name, source)
+
+    def _taken(self, name: str, source: Source) -> str | None:
+        """The buffer of another role that has a channel of this one."""
+        wanted = {channel for layer in source.layers for channel in _channels(source, layer, name)}
+        for other, held in self._sources.items():
+            alike = _ROLE.get(other, other) == _ROLE.get(name, name)
+            if not alike and not held.side and any(wanted & _channels(held, layer, other) for layer in held.layers):
+                return other
+        return None
+
+    def _add(self, name: str, source: Source) -> None:
+        """Take a source for a buffer, if it lies where the picture does."""
+        picture = self._color.window
+        for layer in source.read:
+            common = layer.window.common(picture)
+            if common is None:
+                where = f"{source.line(len(self._file.parts) > 1)} is {layer.window}, the picture {picture}"
+                self._notes.append(f"{name} is not used, it lies beside the picture: {where}")
+                return
+            if common != picture:
+                self._notes.append(f"{name} ({layer.label}) is {layer.window}, the picture {picture}: a miss outside")
+        self._sources[name] = source
 
 
-def _frame(file: ImageFile, preset: Preset, overrides: Mapping[str, str], color: Layer, star: str) -> Frame:
-    sources = {"color": Source((color,))}
-    for name, count in list(BUFFERS.items())[1:]:
-        if name in overrides:
-            if overrides[name].lower() != "none":
-                sources[name] = _check(file, name, Source((_named(file, name, overrides[name]),)), color)
-            continue
-        entries = preset.buffers.get(name, [])
-        if name == "alpha":
-            entries = [*entries, color.name]
-        for entry in entries:
-            source = _resolve(file, entry, star, color.view, "A" if name == "alpha" else "")
-            if source and all(source.numbers(layer, count) for layer in source.layers):
-                sources.setdefault(name, _check(file, name, source, color))
-                break
-    if told := _all_light(file):
-        sources = {name: source for name, source in _told(told, sources).items() if name not in overrides} | sources
-    target = _lookup(file, preset.output["color"], star, color.view) if "color" in preset.output else None
-    return Frame(preset, _complete_split(sources), target or color, star)
+def _channels(source: Source, layer: Layer, name: str) -> set[tuple[int, int]]:
+    return {(layer.part, number) for number in source.numbers(layer, BUFFERS[name]) or ()}
 
 
 def _all_light(file: ImageFile) -> str:
@@ -167,77 +221,42 @@ def _complete_split(sources: dict[str, Source]) -> dict[str, Source]:
     return {name: source for name, source in sources.items() if name not in _SPLIT}
 
 
-def _resolve(file: ImageFile, entry: Any, star: str, view: str, component: str) -> Source | None:
-    if isinstance(entry, str):
-        layer = _lookup(file, entry, star, view)
-        return Source((layer,), component) if layer else None
-    names = entry["sum"] if "sum" in entry else [entry["layer"]]
-    layers = [_lookup(file, name, star, view) for name in names]
-    factor = _lookup(file, entry["times"], star, view) if "times" in entry else None
-    divisor = file.metadata().get(entry["divide_by"]) if "divide_by" in entry else 1
-    if None in layers or ("times" in entry and not factor) or not isinstance(divisor, int | float) or divisor <= 0:
-        return None
-    return Source(tuple(layer for layer in layers if layer), component, factor, float(divisor))
-
-
-def _check(file: ImageFile, name: str, source: Source, color: Layer) -> Source:
-    for layer in (*source.layers, *([source.factor] if source.factor else [])):
-        if layer.size != color.size:
-            raise ImageError(
-                f"{file.path}: {name} ({_label(layer)}) is {layer.size[0]}x{layer.size[1]}, color is "
-                f"{color.size[0]}x{color.size[1]}; leave it out with --map {name}=none"
+def _with_notes(file: ImageFile, frames: Sequence[Frame], overrides: Mapping[str, str]) -> list[Frame]:
+    """The frames, each told what looks like a guide of its own and is not used; the first one the rest."""
+    used = {layer for frame in frames for source in frame.sources.values() for layer in _all_read(source)}
+    used |= {frame.color_layer for frame in frames}
+    seen = {frame.color_layer.view for frame in frames}
+    notes = [list(frame.notes) for frame in frames]
+    for view in views(file.layers):
+        if view and view not in seen:
+            notes[0].append(
+                f"view {view} has no picture that is known: it stays as it is; name it with --map color=LAYER"
             )
-    if not source.numbers(source.layers[0], BUFFERS[name]):
-        raise ImageError(
-            f"{file.path}: {name} needs {BUFFERS[name]} channel(s); {_label(source.layers[0])} has "
-            f"{', '.join(source.layers[0].channels)}"
-        )
-    return source
-
-
-def _evaluate(file: ImageFile, source: Source, count: int) -> NDArray[np.float32]:
-    def pixels(layer: Layer) -> NDArray[np.float32]:
-        return file.read(layer.part, source.numbers(layer, count) or [])
-
-    total = pixels(source.layers[0])
-    for layer in source.layers[1:]:
-        total = total + pixels(layer)
-    if source.factor:
-        total = total * pixels(source.factor)
-    for part in source.subtract:
-        total = total - _evaluate(file, part, count)
-    return total / np.float32(source.divisor) if source.divisor != 1 else total
-
-
-def _named(file: ImageFile, buffer: str, name: str) -> Layer:
-    layer = file.layer("" if name.upper() in ("R,G,B", "RGB", "RGBA", "R,G,B,A") else name)
-    if layer is None:
-        raise ImageError(f"{file.path}: --map {buffer}={name}: no such layer; it has {describe(file)}")
-    return layer
-
-
-def _lookup(file: ImageFile, pattern: str, star: str, view: str) -> Layer | None:
-    wanted = pattern.replace("*", star).casefold()
+    unused: list[list[str]] = [[] for _ in frames]
     for layer in file.layers:
-        if layer.view == view and wanted in (name.casefold() for name in layer.names):
-            return layer
-    return None
+        beside = all(layer.window.common(frame.window) is None for frame in frames)  # told already, if it could be one
+        buffer = None if layer in used or beside or "samples." in layer.name else _seems(layer)
+        if buffer and overrides.get(buffer, "").lower() != "none":
+            owner = next((at for at, frame in enumerate(frames) if serves(layer, frame.color_layer.view, file)), 0)
+            unused[owner].append(f"{layer.label} (--map {buffer}={layer.option})")
+    for at, lines in enumerate(unused):
+        more = f" and {len(lines) - _TOLD} more" if len(lines) > _TOLD else ""
+        notes[at] += [f"not used: {', '.join(lines[:_TOLD])}{more}"] if lines else []
+    for at, frame in enumerate(frames):
+        if set("XYZ") <= {name.upper() for name in frame.sources["color"].layers[0].name.split(",")}:
+            notes[at].append("color is CIE XYZ, which is filtered as it stands; convert it to RGB for the best result")
+    return [replace(frame, notes=tuple(lines)) for frame, lines in zip(frames, notes, strict=True)]
 
 
-def _matches(file: ImageFile, pattern: str) -> list[tuple[Layer, str]]:
-    return [(layer, star) for layer in file.layers if (star := _star(pattern, layer)) is not None]
+def _all_read(source: Source) -> set[Layer]:
+    own = () if source.side else source.read
+    return {*own, *(layer for part in source.subtract for layer in _all_read(part))}
 
 
-def _star(pattern: str, layer: Layer) -> str | None:
-    """What the star of a pattern stands for in one of the layer's names; None where none fits."""
-    expression = re.escape(pattern).replace(r"\*", "(.*)", 1)
-    for name in layer.names:
-        if found := re.fullmatch(expression, name, re.IGNORECASE):
-            return found.group(1) if found.groups() else ""
-    return None
-
-
-def _label(layer: Layer, component: str = "") -> str:
-    if component:
-        return f"{layer.name}.{component}" if layer.name else component
-    return layer.name or ",".join(letter for letter in "RGB" if letter in layer.channels) or ",".join(layer.channels)
+def _seems(layer: Layer) -> str | None:
+    """The buffer that an unused layer seems to be."""
+    names = [name for name in layer.names if name]
+    buffer = next((found for name in names if (found := words.guide(name))), None)
+    if buffer is None and any(map(words.beauty, names)) and not any(map(words.data, names)):
+        buffer = "color"
+    return buffer if buffer and layer.pick(BUFFERS[buffer]) else None

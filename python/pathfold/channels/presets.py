@@ -69,7 +69,7 @@ def presets() -> tuple[Preset, ...]:
 def detect(file: ImageFile) -> Preset:
     """The preset of the program that wrote the file, as far as it can be told."""
     entries = {name.lower(): str(value) for name, value in file.metadata().items()}
-    names = {name for layer in file.layers for name in layer.names}
+    names = {name for layer in file.layers for name in (*layer.names, *([""] if layer.bare else []))}
     return next(preset for preset in presets() if _wrote(preset, entries, names))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold._core import MAX_VERTICES, descriptor_vertices
-from pathfold.images import ImageError, ImageFile, NewPart
+from pathfold.images import ImageError, ImageFile, NewPart, Window, lay
 
 PART = "samples"
 
@@ -64,10 +64,11 @@ def find(file: ImageFile) -> int | None:
     return file.samples[0] if file.samples else None
 
 
-def load(file: ImageFile) -> Samples:
+def load(file: ImageFile, window: Window | None = None) -> Samples:
     """Read the block of samples, descriptor in float16, in one pass through the part.
 
-    Raises ImageError where a field of a sample is missing or the size differs from the picture's.
+    `window`: where the picture lies, if not where they do; its pixels outside theirs have samples that are not valid.
+    Raises ImageError where a field of a sample is missing.
     """
     if file.samples is None:
         raise ImageError(f"{file.path}: has no samples; `pathfold render` writes them")
@@ -88,4 +89,15 @@ def load(file: ImageFile) -> Samples:
         for name, at in places.items():
             picked = rows[..., at].reshape(*rows.shape[:2], len(numbers), -1)
             block[name][:, row : row + len(rows)] = np.moveaxis(picked, 2, 0)
-    return block
+    own = Window(spec.x, spec.y, spec.width, spec.height)
+    return block if window is None or window == own else _laid(block, own, window)
+
+
+def _laid(block: Samples, own: Window, window: Window) -> Samples:
+    shape = block["descriptor"].shape[:3]
+    block.setdefault("valid", np.ones((*shape, 1), _TYPES["valid"]))
+    laid: Samples = {}
+    for name, samples in block.items():
+        laid[name] = np.stack([lay(sample.astype(np.float32), own, window, 0.0) for sample in samples])
+        laid[name] = laid[name].astype(_TYPES[name])
+    return laid

@@ -40,6 +40,8 @@ def denoise(
     ] = None,
     albedo: Annotated[Path | None, typer.Option("--alb", help="A file that holds the albedo.")] = None,
     normal: Annotated[Path | None, typer.Option("--nrm", help="A file that holds the normals.")] = None,
+    depth: Annotated[Path | None, typer.Option("--depth", help="A file that holds the depth.")] = None,
+    variance: Annotated[Path | None, typer.Option("--var", help="A file that holds the variance of the mean.")] = None,
     exposure: Annotated[
         float | None,
         typer.Option(callback=console.check_exposure, help="Factor for the network's input; default: automatic."),
@@ -81,6 +83,7 @@ def denoise(
             denoiser = Denoiser(model or models.DEFAULT, **options)
         else:
             denoiser = Budget(seconds, memory, model, **options)
+    guides = {"albedo": albedo, "normal": normal, "depth": depth, "variance": variance}
     exposures = [] if exposure is None else [exposure]
     for number, (noisy, clean) in enumerate(pairs):
         title = noisy.name if len(pairs) == 1 else f"{noisy.name} ({number + 1}/{len(pairs)})"
@@ -91,7 +94,7 @@ def denoise(
                 denoiser,
                 mapping=buffers,
                 layers=layer or [],
-                guides={name: path for name, path in (("albedo", albedo), ("normal", normal)) if path},
+                guides={name: path for name, path in guides.items() if path},
                 exposures=exposures,
                 keep_samples=keep_samples,
                 progress=bar,
@@ -149,8 +152,9 @@ def expand(source: Path, output: Path) -> list[tuple[Path, Path]]:
 def frame_lines(path: Path, frame: Frame) -> Iterator[str]:
     """What was mapped to what."""
     width, height = frame.size
-    yield f"{path}: {width}x{height}, channel names of {frame.preset.title}"
-    for line in frame.lines():
+    view = f"view {frame.color_layer.view}, " if frame.color_layer.view else ""
+    yield f"{path}: {width}x{height}, {view}channel names of {frame.preset.title}"
+    for line in (*frame.lines(), *frame.notes):
         yield f"  {line}"
 
 

@@ -3,9 +3,10 @@ untouched.
 """
 
 from pathfold.images.errors import ImageError, OutputError
-from pathfold.images.layers import Layer
+from pathfold.images.layers import Layer, views
 from pathfold.images.read import ImageFile
 from pathfold.images.replace import check_output, check_writable, replacing
+from pathfold.images.window import Window, lay
 from pathfold.images.write import HALF_MAX, MAX_CHANNELS, NewPart, save_as, write_parts, writing_mb
 
 __all__ = [
@@ -16,10 +17,13 @@ __all__ = [
     "Layer",
     "NewPart",
     "OutputError",
+    "Window",
     "check_output",
     "check_writable",
+    "lay",
     "replacing",
     "save_as",
+    "views",
     "write_parts",
     "writing_mb",
 ]

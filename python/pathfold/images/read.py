@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pathfold.images.errors import ImageError, first_line
 from pathfold.images.layers import Layer, layers
+from pathfold.images.window import Window, lay
 
 BAND = 64  # rows read or written at a time; a multiple of every scanline compression's block
 _KEPT_BYTES = 2 << 30  # a larger part is read layer by layer
@@ -54,10 +55,20 @@ class ImageFile:
         """The first part's header entries."""
         return {entry.name: entry.value for entry in self.parts[0].extra_attribs}
 
-    def layer(self, name: str) -> Layer | None:
-        """The first layer that goes by this name, upper and lower case alike."""
+    def called(self, name: str) -> list[Layer]:
+        """The layers that go by this name: upper and lower case as given first, then alike."""
         wanted = name.casefold()
-        return next((at for at in self.layers if wanted in (known.casefold() for known in at.names)), None)
+        alike = [layer for layer in self.layers if wanted in (known.casefold() for known in layer.names)]
+        return sorted(alike, key=lambda layer: name not in layer.names)
+
+    def layer(self, name: str) -> Layer | None:
+        """The first layer that goes by this name."""
+        return next(iter(self.called(name)), None)
+
+    def display(self, part: int) -> Window:
+        """The display window of a part: what the frame shows, wherever there are pixels."""
+        spec = self.parts[part]
+        return Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height)
 
     def read(self, part: int, channels: Sequence[int]) -> NDArray[np.float32]:
         """Channels of a part, height x width x len(channels), float32."""
@@ -67,6 +78,10 @@ class ImageFile:
             pixels = self._checked(self.input.read_image(part, 0, first, last, oiio.FLOAT))
             return np.ascontiguousarray(pixels[..., [number - first for number in channels]])
         return np.ascontiguousarray(self._whole(part)[..., list(channels)])
+
+    def read_into(self, layer: Layer, channels: Sequence[int], window: Window, outside: float) -> NDArray[np.float32]:
+        """Channels of a layer as they lie in a window, height x width x len(channels); `outside` where it has none."""
+        return lay(self.read(layer.part, channels), layer.window, window, outside)
 
     def _whole(self, part: int) -> NDArray[np.float32]:
         # All channels of a part are decompressed together, so the layers of one part are read in one go.
