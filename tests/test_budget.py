@@ -107,9 +107,10 @@ def test_a_choice_stays_for_frames_of_one_kind() -> None:
     [
         (
             {"seconds": 1e-6},
-            r"nothing stays inside 1e-06 s\. Nearest is single-3: would take .* s, .* s are spent; give",
+            r"nothing stays inside 1e-06 s\. Nearest is single-3: would take .* s, .* s are spent; give [\d.]+ s or",
         ),
-        ({"memory_mb": 10}, r"nothing stays inside 10 MB\. Nearest is single-3: needs \d+ MB; give [\d.]+ times"),
+        ({"memory_mb": 10}, r"nothing stays inside 10 MB\. Nearest is single-3: needs (\d+) MB; give \1 MB or more"),
+        ({"memory_mb": True}, "memory_mb is True; it must be > 0"),
         ({"seconds": 0}, "seconds is 0; it must be > 0"),
         ({"memory_mb": float("nan")}, "memory_mb is nan; it must be > 0"),
     ],
@@ -117,6 +118,15 @@ def test_a_choice_stays_for_frames_of_one_kind() -> None:
 def test_what_cannot_be_kept_is_refused_with_what_would_do(bounds: dict[str, float], words: str) -> None:
     with pytest.raises(PathfoldError, match=words):
         Budget(model="single-3", **bounds).choose(frame())
+
+
+@pytest.mark.usefixtures("tiny")
+def test_buffers_may_be_whatever_is_an_array() -> None:
+    given = frame()
+    choice = Budget(PLENTY, model="single-3").choose({"color": given["color"].astype(np.float64)})
+    np.testing.assert_array_equal(choice.run().color, Denoiser("single-3").run(**given).color)
+    with pytest.raises(PathfoldError, match="color: given int64 values; pass linear float32"):
+        Budget(PLENTY, model="single-3").choose({"color": [[[1, 2, 3]]]})
 
 
 @pytest.mark.usefixtures("tiny")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pathfold import memory, models
 from pathfold._core import PathfoldError, Plan
-from pathfold.arguments import failure
+from pathfold.arguments import as_array, failure
 from pathfold.denoiser import Denoiser, Result
 
 # The best first, by the errors in docs/results/validation-8spp; another model takes part where it is named.
@@ -90,7 +90,8 @@ class Budget:
         self, seconds: float | None = None, memory_mb: float | None = None, model: str | None = None, **options: Any
     ) -> None:
         for name, value in (("seconds", seconds), ("memory_mb", memory_mb)):
-            if value is not None and not (isinstance(value, Real) and 0 < value < float("inf")):
+            a_number = isinstance(value, Real) and not isinstance(value, bool)
+            if value is not None and not (a_number and 0 < value < float("inf")):
                 raise failure("invalid-argument", f"{name} is {value!r}; it must be > 0 and finite")
         if memory_mb is not None and not memory.can_be_watched():
             raise failure("unsupported", "memory_mb: this system does not tell what a process holds; leave it away")
@@ -133,6 +134,7 @@ class Budget:
         Raises PathfoldError ("unsupported") that names the nearest where none stays inside.
         """
         begin = perf_counter() if start is None else start
+        buffers = {name: as_array(name, pixels) for name, pixels in buffers.items()}
         shapes = tuple(sorted((name, pixels.shape) for name, pixels in buffers.items()))
         if shapes not in self._chosen:
             self._chosen = {shapes: self._search(buffers, begin, samples_per_pixel, later_mb)}
@@ -141,7 +143,7 @@ class Budget:
 
     def _search(self, buffers: Buffers, begin: float, samples_per_pixel: int, later_mb: float) -> Choice:
         _check_sizes(buffers)
-        refused: list[tuple[float, str]] = []
+        refused: list[tuple[float, str, str]] = []  # times the bound; what it would come to; what would be enough
         for way in self._ways(buffers):
             given = _without_paths(buffers) if way.paths is False else buffers
             denoiser = Denoiser(way.name, **self._options)
@@ -152,22 +154,23 @@ class Budget:
             spent = perf_counter() - begin
             until = spent + TIME_MARGIN * found.seconds
             if self.memory_mb is not None and found.memory_mb > self.memory_mb:
-                refused.append((found.memory_mb / self.memory_mb, f"{way}: needs {found.memory_mb:.0f} MB"))
+                needed = f"{ceil(found.memory_mb)} MB"
+                refused.append((found.memory_mb / self.memory_mb, f"{way}: needs {needed}", needed))
             elif self.seconds is not None and until > self.seconds:
                 words = f"{way}: would take {found.seconds:.2g} s, {spent:.2g} s are spent"
-                refused.append((until / self.seconds, words))
+                refused.append((until / self.seconds, words, f"{ceil(100 * until) / 100:g} s"))
             else:
                 expected = f"about {found.seconds:.2g} s, less than {found.memory_mb:.0f} MB"
                 lines = [f"{way}, tiles of {found.tile}: {expected}"]
-                lines += [f"gave up {words}" for _, words in refused]
+                lines += [f"gave up {words}" for _, words, _ in refused]
                 if found.overlapping > 1.5:
                     lines.append(f"gave up larger tiles: with overlap these are {found.overlapping:.1f} pictures")
                 return Choice(found.denoiser, given, found.seconds, found.memory_mb, lines)
             del denoiser, found  # before the next one is loaded
-        ratio, words = min(refused)
+        _, words, enough = min(refused)
         raise failure(
             "unsupported",
-            f"nothing stays inside {self}. Nearest is {words}; give {ceil(10 * ratio) / 10:g} times as much",
+            f"nothing stays inside {self}. Nearest is {words}; give {enough} or more",
         )
 
     def _ways(self, buffers: Buffers) -> list[Way]:
