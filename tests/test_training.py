@@ -194,6 +194,7 @@ def test_views_of_few_samples_and_of_several_sizes_are_trained_on(tmp_path: Path
         ("average {0}/text {0}/foreign -o {0}/text/last.ckpt", 1, "last.ckpt is a file; give a folder"),
         ("average {0}/whole {0}/text/../whole -o {0}/run", 1, "whole is given twice"),
         ("export {0}/whole -o {0}/run", 1, "whole/record.json lacks started_from, commit; give another"),
+        ("export {0}/typed -o {0}/run", 1, "typed/record.json is altered: nothing can be made of seed, which is '0'"),
         ("export {0}/whole -o {0}/text/last.ckpt", 1, "last.ckpt is a file; give a folder"),
         ("render --out {0}/text/last.ckpt/set --procedural 1", 1, "cannot write into {0}/text/last.ckpt/set"),
     ],
@@ -220,8 +221,8 @@ def test_what_a_command_cannot_do_is_one_line_and_leaves_nothing(
 
 
 def damaged_files(folder: Path) -> None:
-    """Presets, runs and model folders that are none, or damaged; of `whole` the record alone."""
-    for name in ("folder.yaml", "empty", "text", "foreign", "cut", "hollow", "whole"):
+    """Presets, runs and model folders that are none, or damaged; of `whole` and `typed` the record alone."""
+    for name in ("folder.yaml", "empty", "text", "foreign", "cut", "hollow", "whole", "typed"):
         (folder / name).mkdir()
     (folder / "binary.yaml").write_bytes(b"\xff\xfe\x00name")
     (folder / "wrong.yaml").write_text("name: a\ndescription: b\ndata: {batch: 0}\n")
@@ -237,8 +238,11 @@ def damaged_files(folder: Path) -> None:
     task = Denoising(TINY.model_copy(update={"network": pyramid}))
     state = {"state_dict": task.state_dict(), "hyper_parameters": {"config": task.config.model_dump()}}
     state |= {"global_step": 1, "callbacks": {"TrainingSeconds": {"seconds": 1.0, "cpu_seconds": 1.0}}}
-    torch.save(state, folder / "whole" / "last.ckpt")
-    (folder / "whole" / "record.json").write_text('{"config": {}, "seed": 0, "hardware": "", "data": {}}')
+    record = {"config": {}, "seed": "0", "started_from": None, "commit": "", "hardware": "", "data": {}}
+    records = {"whole": {"config": {}, "seed": 0, "hardware": "", "data": {}}, "typed": record}
+    for name, content in records.items():
+        torch.save(state, folder / name / "last.ckpt")
+        (folder / name / "record.json").write_text(json.dumps(content))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import errno
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,15 +34,23 @@ def make_folder(folder: Path) -> None:
         raise OSError(f"cannot write into {folder}: {error.strerror}; give another folder") from error
 
 
-def read_object(path: Path, keys: Sequence[str], cure: str) -> dict[str, Any]:
-    """What a JSON file holds, `keys` among it. Raises ValueError naming the file, its fault and the cure."""
+def read_object(path: Path, keys: Mapping[str, Any], cure: str) -> dict[str, Any]:
+    """What a JSON file holds, `keys` among it, each of its type (or types, as isinstance takes them).
+
+    Raises ValueError naming the file, its fault and the cure.
+    """
     try:
         content = json.loads(path.read_bytes())
-        missing = [key for key in keys if key not in content] if isinstance(content, dict) else list(keys)
+        content = content if isinstance(content, dict) else {}
+        missing = [key for key in keys if key not in content]
+        wrong = [key for key in keys if key in content and not isinstance(content[key], keys[key])]
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror}; {cure}") from error
     except ValueError as error:
         raise ValueError(f"{path} is no JSON ({error}); {cure}") from error
     if missing:
         raise ValueError(f"{path} lacks {', '.join(missing)}; {cure}")
+    if wrong:
+        faults = ", ".join(f"{key}, which is {content[key]!r:.40}" for key in wrong)
+        raise ValueError(f"{path} is altered: nothing can be made of {faults}; {cure}")
     return content

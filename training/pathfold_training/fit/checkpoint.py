@@ -6,6 +6,7 @@ import json
 import platform
 import subprocess
 from pathlib import Path
+from types import NoneType
 
 import torch
 from lightning.pytorch.utilities import rank_zero_only
@@ -36,13 +37,15 @@ def load_checkpoint(path: Path) -> tuple[Config, dict]:
 
 def read_record(run: Path) -> dict:
     """A run's record.json. Raises ValueError naming it where it is gone or damaged."""
-    keys = ("config", "seed", "started_from", "commit", "hardware", "data")
+    keys = {"config": dict, "seed": int, "started_from": (dict, NoneType), "commit": str, "hardware": str, "data": dict}
     return read_object(run / RECORD, keys, "give another folder of 'pathfold-train fit'")
 
 
 def read_manifest(folder: Path) -> dict:
     """An exported model's manifest. Raises ValueError naming it where it is gone, damaged or not `export`'s."""
-    return read_object(folder / "manifest.json", ("name", "graphs", "reconstruction", "training"), START)
+    return read_object(
+        folder / "manifest.json", {"name": str, "graphs": dict, "reconstruction": dict, "training": dict}, START
+    )
 
 
 def completed_steps(checkpoint: Path, config: Config) -> int:

@@ -95,7 +95,7 @@ def write_card(folder: Path, results: Path) -> None:
     again = "make it by pathfold-train export"
     if not (folder / "manifest.json").is_file():
         raise ValueError(f"{folder} is no model folder: it has no manifest.json; {again}")
-    manifest = read_object(folder / "manifest.json", ("name", "training"), again)
+    manifest = read_object(folder / "manifest.json", {"name": str, "training": dict}, again)
     section = error_section(manifest["name"], results, relpath(results, folder))
     try:
         text = model_card(manifest, section)
