@@ -1,7 +1,7 @@
 """References: what a picture should be, in two independent halves where there are such."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold import channels, metrics
-from pathfold.images import ImageError, ImageFile, NewPart, write_parts
+from pathfold.images import ImageError, ImageFile, NewPart, Window, write_parts
 
 _CHUNK = 16  # samples per pixel and call
 _SEED = 100_000  # the first one; noisy pictures have small seeds
@@ -34,7 +34,8 @@ class Reference:
         Raises ImageError where it has no beauty, or pixels that are not finite.
         """
         file = ImageFile(path)
-        mean, halves = beauty(file), read_halves(file)
+        mean = beauty(file)
+        halves = read_halves(file, channels.match(file)[0].window)
         if halves and not all(np.isfinite(half).all() for half in halves):
             raise ImageError(f"{path}: its halves half_a, half_b hold pixels that are not finite; mend or remove them")
         return Reference(mean, halves, header(file, "reference/spp"), header(file, "reference/max_depth"))
@@ -55,6 +56,11 @@ class Reference:
     def size(self) -> tuple[int, int]:
         """Width, height."""
         return self.mean.shape[1], self.mean.shape[0]
+
+    def cut(self, rows: slice, columns: slice) -> "Reference":
+        """The same of some of its pixels."""
+        halves = (self.halves[0][rows, columns], self.halves[1][rows, columns]) if self.halves else None
+        return replace(self, mean=self.mean[rows, columns], halves=halves)
 
     @property
     def own_error(self) -> float | None:
@@ -93,11 +99,14 @@ def beauty(file: ImageFile) -> Image:
     return color
 
 
-def read_halves(file: ImageFile) -> tuple[Image, Image] | None:
-    """The two independent halves of a reference, where it holds them."""
+def read_halves(file: ImageFile, window: Window) -> tuple[Image, Image] | None:
+    """The two independent halves of a reference over a window, NaN where it lacks them; None where it holds none."""
     layers = [file.layer(name) for name in ("half_a", "half_b")]
-    found = [(layer.part, at) for layer in layers if layer and (at := layer.pick(3))]
-    return (file.read(*found[0]), file.read(*found[1])) if len(found) == 2 else None
+    found = [(layer, at) for layer in layers if layer and (at := layer.pick(3))]
+    if len(found) < 2:
+        return None
+    a, b = (file.read_into(layer, at, window, float("nan")) for layer, at in found)
+    return a, b
 
 
 def header(file: ImageFile, name: str) -> int | None:

@@ -195,12 +195,15 @@ class PictureSubject:
         return found
 
     def reference(self, frame: int, bar: Bar) -> Reference:
+        return Reference.read(self._reference_path(frame))
+
+    def _reference_path(self, frame: int) -> Path:
         first = next(iter(self._sequences.values()))
         _, number = _frame_number(first[frame])
         names = [*([f"reference.{number}.exr"] if number else []), "reference.exr"]
         for name in names:
             if (self.folder / name).is_file():
-                return Reference.read(self.folder / name)
+                return self.folder / name
         raise SubjectError(f"{self.folder}: has no {' nor '.join(names)}")
 
     def shoot(
@@ -212,11 +215,14 @@ class PictureSubject:
         if found.size != size:
             unlike = " and ".join(f"{width}x{height}" for width, height in (found.size, size))
             raise SubjectError(f"{file.path} and its reference are of unlike sizes, {unlike}")
+        truth = channels.match(ImageFile(self._reference_path(frame)))[0].window
+        if found.window != truth:
+            raise SubjectError(f"{file.path} and its reference lie at unlike places, {found.window} and {truth}")
         buffers: Buffers = {name: channels.load(file, found, name) for name in found.sources}
         if "albedo" in buffers and (made := channels.complete_albedo(buffers, found.writer("albedo").miss_albedo)):
             buffers["albedo"], _ = made
         if max(recorded, default=0) and samples.find(file) is not None:
-            buffers |= {f"samples.{name}": pixels for name, pixels in samples.load(file).items()}
+            buffers |= {f"samples.{name}": pixels for name, pixels in samples.load(file, found.window).items()}
         took = _render_ms(file.metadata())
         return Shot(buffers, spp, {min(count, spp): took for count in (0, *recorded)})
 
