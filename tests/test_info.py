@@ -49,6 +49,18 @@ def test_the_mapping_is_a_row_per_buffer(run, tmp_path: Path) -> None:
     assert "not found: albedo, depth, variance" in out
 
 
+def test_parts_views_and_windows_are_told(run, tmp_path: Path) -> None:
+    small = part("N", [*RGB], ["half"] * 3, noise(3, size=(6, 5)))
+    small[0].x, small[0].y = 2, 3
+    small[0].full_x, small[0].full_y, small[0].full_width, small[0].full_height = 0, 0, 12, 9
+    right = part("rgba_main", [*RGB, "A"], ["half"] * 4, noise(4))
+    code, out, _ = run("info", write(tmp_path / "a.exr", [small, right]))
+    told = rows(out)
+    assert code == 0 and ["color", "rgba_main", "1 rgba_main", "R,G,B", "half", "12x9"] in told
+    assert ["normal", "N", "0 N", "R,G,B", "half", "6x5 at 2,3"] in told
+    assert "normal (N) is 6x5 at 2,3, the picture 12x9 at 0,0: a miss outside" in out
+
+
 def test_what_would_be_converted_is_told(run, tmp_path: Path) -> None:
     normal = np.zeros((9, 12, 3), np.float32) + 0.5
     normal[:, :6] += np.float32([0, 0.3, 0.4])

@@ -37,6 +37,11 @@ LAYOUTS: dict[str, dict[str, tuple[dict, dict, dict[str, str]]]] = {
             {"BlenderMultiChannel": "Blender V2.55.1 and newer"},
             {"color": "VL.Combined", "albedo": "VL.Denoising Albedo"},
         ),
+        "an AOV of the user's own alone": (
+            {"VL.Combined": RGBA, "VL.Albedo": RGB},
+            {},
+            {"color": "VL.Combined", "albedo": "VL.Albedo"},
+        ),
         "one part": (
             {"VL.Combined": RGBA, "VL.Depth": "V", "VL.Denoising Albedo": RGB, "VL.Denoising Normal": XYZ},
             {},
@@ -106,6 +111,11 @@ LAYOUTS: dict[str, dict[str, tuple[dict, dict, dict[str, str]]]] = {
             {},
             {"color": "C", "albedo": "albedo", "normal": "N", "depth": "depth_extra"},
         ),
+        "parts": (
+            {"N": {"": RGB}, "albedo": {"": RGB}, "C": {"": RGBA}, "__depth": {"": "Z"}},
+            {},
+            {"color": "C", "albedo": "albedo", "normal": "N", "depth": "__depth"},
+        ),
         "split": (
             {"C": RGBA, "combineddiffuse": RGB, "albedodiffuse": RGB, "N_camera": XYZ, "N": XYZ},
             {},
@@ -142,6 +152,11 @@ LAYOUTS: dict[str, dict[str, tuple[dict, dict, dict[str, str]]]] = {
             {"VL.Combined": RGBA, "VL.ALBEDO": RGB, "VL.AVG_SHADING_NORMAL": XYZ, "VL.Depth": "Z"},
             {"BlenderMultiChannel": "Blender V2.55.1 and newer"},
             {"color": "VL.Combined", "albedo": "VL.ALBEDO", "normal": "VL.AVG_SHADING_NORMAL", "depth": "VL.Depth"},
+        ),
+        "Blender, albedo alone": (
+            {"VL.Combined": RGBA, "VL.ALBEDO": RGB},
+            {"BlenderMultiChannel": "Blender V2.55.1 and newer"},
+            {"color": "VL.Combined", "albedo": "VL.ALBEDO"},
         ),
         "itself": (
             {"": RGBA, "ALBEDO": RGB, "AVG_SHADING_NORMAL": XYZ, "DEPTH": "Z"},
@@ -212,6 +227,11 @@ LAYOUTS: dict[str, dict[str, tuple[dict, dict, dict[str, str]]]] = {
         ),
     },
     "common": {
+        "a camera's parts": (
+            {"depth_main": {"": "Z"}, "normal_main": {"": RGB}, "rgba_main": {"": RGBA}},
+            {},
+            {"color": "rgba_main", "normal": "normal_main", "depth": "depth_main"},
+        ),
         "Natron": (
             {"Color": RGBA, "albedo": RGB, "normals": XYZ, "depth": "Z"},
             {},

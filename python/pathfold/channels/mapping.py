@@ -3,9 +3,10 @@
 A layer has one role: what is the beauty is never a guide, and no guide is two. An explicit name comes before a row.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from pathfold.images import ImageError, ImageFile, Layer, Window, views
 
 # Header entry: "diffuse" or "specular", the part of the radiance that is all of color; the other part is 0.
 ALL_LIGHT = "pathfold:all_light"
+_GUIDES = ("albedo", "normal", "depth", "variance")
 _SPLIT = ("diffuse", "specular", "diffuse.albedo", "diffuse.variance", "specular.variance")
 _TOLD = 8  # layers named in one line
 # What a layer is used as; what divides radiance may divide all of it and its diffuse part.
@@ -138,14 +140,20 @@ class _Mapper:
 
     def _by_rows(self, name: str) -> None:
         component = "A" if name == "alpha" else ""
-        for row in self._preset.buffers.get(name, ()):
+        for preset, row in self._rows(name):
             source = resolve(self._file, row, self._star, self._color, self._main, component)
             fits = source and all(source.numbers(layer, BUFFERS[name]) for layer in source.layers)
             if source and fits and not self._taken(name, source):
-                self._add(name, source)
+                self._add(name, replace(source, preset=preset))
                 return
         if name == "alpha" and "A" in self._color.channels:
             self._add(name, Source((self._color,), "A"))
+
+    def _rows(self, name: str) -> Iterator[tuple[Preset, Any]]:
+        """The rows of the writer, then, for guides, those that mean the same with everybody."""
+        common = [presets()[-1]] if name in _GUIDES and self._preset != presets()[-1] else []
+        for preset in (self._preset, *common):
+            yield from ((preset, row) for row in preset.buffers.get(name, ()))
 
     def _by_name(self, name: str, text: str) -> None:
         found = named(self._file, name, text)

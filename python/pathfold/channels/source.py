@@ -29,7 +29,7 @@ class Source:
     divisor: float = 1.0
     subtract: tuple["Source", ...] = ()
     side: ImageFile | None = None  # the file that holds it, where that is not the picture's own
-    preset: Preset | None = None  # of that file
+    preset: Preset | None = None  # whose row told it
 
     @property
     def direct(self) -> bool:

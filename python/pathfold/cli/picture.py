@@ -13,13 +13,12 @@ from rich.text import Text
 
 from pathfold import channels, sheet
 from pathfold.buffers import BUFFERS
-from pathfold.channels import Frame, samples
+from pathfold.channels import Frame, samples, words
 from pathfold.cli.console import harmless
 from pathfold.files import open_linear, read
 from pathfold.images import ImageError, ImageFile, Layer
 
 _COLUMNS = ("layer", "part", "channels", "type", "window")
-_GUIDES = {"albedo": "albedo", "normal": "normal", "nrm": "normal", "depth": "depth"}
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,8 @@ class Picture:
 
     def roles(self, layer: Layer) -> list[str]:
         """The buffers that a layer is, or is a part of."""
-        return [name for frame in self.frames for name in BUFFERS if layer in _layers(frame, name)]
+        frames = [frame.sources for frame in self.frames]
+        return [name for held in frames for name in BUFFERS if name in held and layer in held[name].read]
 
 
 def look(path: Path) -> Picture:
@@ -61,7 +61,8 @@ def _print(out: Console, picture: Picture) -> None:
     for frame in picture.frames:
         out.print("\n", _plain(f"{_title(frame)}, channel names of {frame.preset.title}"), sep="")
         out.print(_mapping(picture.file, frame))
-        for line in (*_derived(frame), *_conversions(picture.file, frame)):
+        notes = [note for note in frame.notes if not note.startswith("not used")]  # they have a table below
+        for line in (*_derived(frame), *_conversions(picture.file, frame), *notes):
             out.print(_plain(f"  {line}"))
         if absent := [buffer for buffer in BUFFERS if buffer not in frame.sources]:
             out.print(_plain(f"  not found: {', '.join(absent)}", "dim"))
@@ -105,13 +106,13 @@ def _headline(picture: Picture) -> str:
 
 def _title(frame: Frame) -> str:
     view = f" (view {frame.color_layer.view})" if frame.color_layer.view else ""
-    return f"picture {frame.color_layer.name or 'R,G,B'}{view}"
+    return f"picture {frame.color_layer.label}{view}"
 
 
 def _mapping(file: ImageFile, frame: Frame) -> Table:
     table = _table(("buffer", *_COLUMNS))
     for name, source in ((name, frame.sources[name]) for name in BUFFERS if name in frame.sources):
-        for number, layer in enumerate(_layers(frame, name)):
+        for number, layer in enumerate(source.read):
             first = _plain("" if number else name, "yellow" if name == "color" else "cyan")
             table.add_row(first, *_cells(file, layer, source.numbers(layer, BUFFERS[name])))
     return table
@@ -121,13 +122,6 @@ def _derived(frame: Frame) -> Iterator[str]:
     for name, source in frame.sources.items():
         if not source.direct:
             yield f"{name} = {source}"
-
-
-def _layers(frame: Frame, buffer: str) -> list[Layer]:
-    source = frame.sources.get(buffer)
-    if source is None:
-        return []
-    return [*source.layers, *([source.factor] if source.factor else [])]
 
 
 def _conversions(file: ImageFile, frame: Frame) -> Iterator[str]:
@@ -150,14 +144,13 @@ def _shown(file: ImageFile) -> list[Layer]:
 
 def _reason(picture: Picture, layer: Layer) -> str:
     """Why a layer is not used, and what would use it."""
-    name = layer.name.casefold()
     if not picture.frames:
         return "no color was found"
-    fits = [buffer for word, buffer in _GUIDES.items() if word in name and layer.pick(BUFFERS[buffer])]
-    if fits:
-        return f"no known name; --map {fits[0]}={layer.name} would use it"
-    if "crypto" not in name and {"R", "G", "B"} <= set(layer.channels):
-        return f"no buffer; --layer '{layer.name}' filters it alike, if it is light"
+    guide = words.guide(layer.label)
+    if guide and layer.pick(BUFFERS[guide]):
+        return f"no known name, or another is used; --map {guide}={layer.option} would use it"
+    if not words.data(layer.label) and {"R", "G", "B"} <= set(layer.channels):
+        return f"no buffer; --layer '{layer.option}' filters it alike, if it is light"
     return "no buffer; kept as it is"
 
 
@@ -174,8 +167,8 @@ def _cells(file: ImageFile, layer: Layer, numbers: Sequence[int] | None = None) 
     used = {letter: at for letter, at in layer.channels.items() if numbers is None or at in numbers}
     kinds = dict.fromkeys(str(formats[at]) for at in used.values())
     part = f"{layer.part}" + (f" {file.part_name(layer.part)}" if file.part_name(layer.part) else "")
-    window = f"{spec.width}x{spec.height}" + (f" at {spec.x},{spec.y}" if spec.x or spec.y else "")
-    return tuple(map(_plain, (layer.name or "R,G,B", part, ",".join(used), ",".join(kinds), window)))
+    window = str(layer.window).removesuffix(" at 0,0")
+    return tuple(map(_plain, (layer.label, part, ",".join(used), ",".join(kinds), window)))
 
 
 def _table(columns: Sequence[str]) -> Table:
