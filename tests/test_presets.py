@@ -198,6 +198,11 @@ LAYOUTS: dict[str, dict[str, tuple[dict, dict, dict[str, str]]]] = {
         ),
     },
     "pbrt": {
+        "GBufferFilm at first": (
+            {"": RGB, "Albedo": RGB, **dict.fromkeys(("Nx", "Ny", "Nz", "Nsx", "Nsy", "Nsz", "dzdx"), ("",))},
+            {},
+            {"color": "R,G,B", "albedo": "Albedo", "normal": "Nsx,Nsy,Nsz"},
+        ),
         "GBufferFilm": (
             {"": RGB, "Albedo": RGB, "Ns": XYZ, "N": XYZ, "dzdx": "", "Variance": RGB},
             {"samplesPerPixel": 16},

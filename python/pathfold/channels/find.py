@@ -29,10 +29,13 @@ def resolve(
 ) -> Source | None:
     """What a preset's row is in a file, for one picture; None where it is not there.
 
-    `text` stands for the row's star, `main` for its "".
+    `text` stands for the row's star, `main` for its "". A name with commas is a list of channels.
     """
 
     def look(name: str) -> Layer | None:
+        if "," in name:
+            lists = channel_list(file, name.split(","))
+            return min(lists, key=lambda layer: layer.part != picture.part, default=None)
         return main if name == "" else lookup(file, name.replace("*", text), picture)
 
     if isinstance(entry, str):

@@ -3,7 +3,7 @@
 A preset is chosen where the file has all layers of one list of `detect.layers`, or any header entry of
 `detect.metadata`; layers' names count there as they are written. In the buffers' rows upper and lower case are alike,
 and a `*` stands for the same text (the view layer) in all patterns of one frame. For each buffer the first row that is
-in the file counts; a table instead of a name derives it:
+in the file counts; a name may be a list of channels ("Nx,Ny,Nz"), and a table instead of a name derives the buffer:
     { sum = [NAMES], times = NAME }          radiance that the renderer splits further, or divides by its colour
     { layer = NAME, divide_by = "ENTRY" }    the variance of one sample, to be divided by the header's sample count
 Rows of `[buffers]` mean the same whoever wrote them, so the last preset, common names, has them all. Rows of

@@ -31,8 +31,15 @@ class Picture:
 
     def roles(self, layer: Layer) -> list[str]:
         """The buffers that a layer is, or is a part of."""
-        frames = [frame.sources for frame in self.frames]
-        return [name for held in frames for name in BUFFERS if name in held and layer in held[name].read]
+        own = set(layer.channels.values())
+        return [
+            name
+            for frame in self.frames
+            for name in BUFFERS
+            if name in frame.sources
+            for read in frame.sources[name].read
+            if read.part == layer.part and own & set(read.channels.values())
+        ]
 
 
 def look(path: Path) -> Picture:
