@@ -20,6 +20,7 @@ from pathfold.metrics import EPSILON
 from ..files import make_folder, write_whole
 from .store import Line, Store, cleaned_path, read_cleaned
 from .truth import window_halves
+from .values import known
 
 REACH = 15  # pixels of the square over which errors are compared
 
@@ -53,8 +54,7 @@ def cleaned_window(line: Line, tensor: Callable[[str], Any], number: int) -> Ima
     """
     a, b = window_halves(line, tensor, number)
     albedo, normal = (
-        np.nan_to_num(tensor(f"samples.{name}")[number].astype(np.float32).mean(0), posinf=0.0)
-        for name in ("albedo", "normal")
+        known(tensor(f"samples.{name}")[number].astype(np.float32)).mean(0) for name in ("albedo", "normal")
     )
     return cleaned(a, b, albedo, normal, line["exposure"])
 

@@ -19,6 +19,7 @@ Tensors are C-contiguous, so a crop of a few samples touches little of the file.
 import hashlib
 import json
 import logging
+import math
 import os
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -36,7 +37,8 @@ Arrays = dict[str, NDArray[Any]]
 Line = dict[str, Any]
 FORMAT = 3
 NEEDED = {"format", "id", "files", "scene", "split", "spp", "described"}  # in a line
-NEEDED |= {"crop", "crops", "exposure", "depth_scale"}
+SCALES = {"exposure", "depth_scale"}  # finite and positive
+NEEDED |= {"crop", "crops"} | SCALES
 REFERENCES, SAMPLES = KINDS = "references", "samples"
 OWN = {  # the facts of a line that belong to a kind of file: what its latest one says counts
     REFERENCES: ("reference_spp", "reference_rell2", "exposure", "depth_scale", "budget"),
@@ -111,17 +113,17 @@ def append_line(folder: Path, line: Line) -> None:
 
 
 def read_index(folder: Path) -> list[Line]:
-    """The last line of every view, whatever has become of its files; a line cut short or altered is left out.
+    """The last line of every view, whatever has become of its files; a line cut short or altered is left out and told.
 
     Raises ValueError for a data set of another format.
     """
     index = folder / "index.jsonl"
     lines = {}
-    for text in index.read_bytes().splitlines() if index.exists() else []:
+    for number, text in enumerate(index.read_bytes().splitlines() if index.exists() else [], 1):
         try:
             line = json.loads(text)
         except ValueError:  # no JSON, or no text at all
-            continue
+            line = None
         if isinstance(line, dict) and line.get("format", FORMAT) != FORMAT:
             raise ValueError(
                 f"{folder} holds a data set of format {line['format']}, this version reads format {FORMAT}: "
@@ -129,6 +131,11 @@ def read_index(folder: Path) -> list[Line]:
             )
         if _whole(line):
             lines[line["id"]] = line
+        elif text.strip():
+            log.warning(
+                "%s: line %d is cut short or altered and left out; `pathfold-train render --out %s` mends it",
+                index, number, folder,
+            )  # fmt: skip
     return list(lines.values())
 
 
@@ -137,6 +144,8 @@ def _whole(line: Any) -> bool:
     if not isinstance(line, dict) or not line.keys() >= NEEDED:
         return False
     if not isinstance(line["id"], str) or not isinstance(line["files"], dict):
+        return False
+    if not all(isinstance(line[scale], int | float) and 0 < line[scale] < math.inf for scale in SCALES):
         return False
     return all(isinstance(seal, dict) and seal.keys() >= {"bytes", "sha256"} for seal in line["files"].values())
 

@@ -16,6 +16,7 @@ from pathfold import auto_exposure
 
 from ..scenes.faults import RejectedError
 from .store import Line
+from .values import known
 
 BUDGET = 0.5  # core-seconds; more views with such references taught more than fewer clean ones (docs/results)
 ROUND = 32  # samples per pixel and half between two looks at clock and error
@@ -79,12 +80,12 @@ def _tensors(a: dict[str, Any], b: dict[str, Any]) -> Arrays:
 def window_halves(line: Line, tensor: Callable[[str], Any], number: int) -> tuple[NDArray[np.float32], ...]:
     """The reference of window `number` of a view, [3, h, w], twice, of independent samples.
 
-    `line` is the view's, `tensor` gives its tensors by name; what is cut is read. Values that are not finite are 0.
+    `line` is the view's, `tensor` gives its tensors by name; what is cut is read. Unknown values are 0.
     """
     top, left = line["crops"][number]
     rows, columns = slice(top, top + line["crop"]), slice(left, left + line["crop"])
     halves = (tensor(f"reference.half_{name}.color")[:, rows, columns] for name in "ab")
-    return tuple(np.nan_to_num(half, posinf=0.0) for half in halves)
+    return tuple(known(half) for half in halves)
 
 
 def half_error(a: NDArray[Any], b: NDArray[Any]) -> float:

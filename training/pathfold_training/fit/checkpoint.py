@@ -14,6 +14,7 @@ from pydantic import ValidationError
 
 from ..dataset.store import Line
 from ..files import read_object
+from .finite import not_finite
 from .preset import Config, problems
 
 RECORD = "record.json"
@@ -21,7 +22,8 @@ START = "give a checkpoint of 'pathfold-train fit' or a model folder of 'pathfol
 
 
 def load_checkpoint(path: Path) -> tuple[Config, dict]:
-    """The preset of a checkpoint of `fit`, and its state. Raises ValueError naming a file that is none, or damaged."""
+    """The preset of a checkpoint of `fit`, and its state. Raises ValueError naming a file that is none, damaged,
+    or whose weights are not finite."""
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         config = Config.model_validate(state["hyper_parameters"]["config"])  # keys newer than the run have defaults
@@ -32,6 +34,8 @@ def load_checkpoint(path: Path) -> tuple[Config, dict]:
         raise ValueError(f"{path} is of another version, whose preset does not fit: {problems(error)}") from error
     except Exception as error:  # torch's are of many kinds, as the bytes come
         raise ValueError(f"{path} is no checkpoint of 'pathfold-train fit', or is damaged; give another") from error
+    if name := not_finite(state["state_dict"]):
+        raise ValueError(f"{path}: weight {name} is not finite; train again into another --out, or give another run")
     return config, state
 
 

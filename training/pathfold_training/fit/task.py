@@ -14,6 +14,7 @@ from torch import Tensor
 from ..networks.batch import Batch
 from ..networks.families import build
 from ..networks.losses import Draw, halves_error
+from .finite import or_nan
 from .preset import Config
 
 
@@ -32,7 +33,7 @@ class Denoising(lightning.LightningModule):
         loss, terms = self.model.loss(batch, self.config.loss, self.draw())
         for name, value in terms.items():
             self.log(name, value, prog_bar=True, batch_size=len(batch.counts), sync_dist=True)
-        return loss
+        return or_nan(loss)
 
     def draw(self) -> Draw:
         """Of this process's share of the batch.

@@ -19,6 +19,7 @@ from torch.utils.data import DataLoader
 from ..files import make_folder
 from .checkpoint import RECORD, commit, completed_steps, read_record, start_record, write_record
 from .crops import Crops
+from .finite import FiniteSteps
 from .live import Live, LiveViews
 from .preset import Config
 from .task import Denoising
@@ -78,6 +79,7 @@ def fit(
     `threads` 0 leaves torch's choice. `start_from` is a checkpoint or an exported model folder whose weights begin the
     run: a shipped model's, to go on with it on other data. Raises ValueError if `data` holds no data set, `start_from`
     no weights that fit, or `out` belongs to another preset, seed or number of steps: nothing is written then.
+    RuntimeError where the weights do not stay finite, see finite.py.
     """
     source = data if isinstance(data, Live) else Stored(data)
     if isinstance(source, Stored):
@@ -118,6 +120,7 @@ def fit(
             TrainingSeconds(),
             RichProgressBar() if on_terminal else TQDMProgressBar(refresh_rate=50),
             *([moving_average(options.average)] if options.average > 0.0 else []),
+            FiniteSteps(),  # after the average, so that it sees what is saved of that
         ],
         enable_model_summary=False,
     )

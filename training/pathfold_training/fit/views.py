@@ -17,6 +17,7 @@ from torch.utils.data import Dataset
 from ..dataset import store
 from ..dataset.store import Line, Store
 from ..dataset.truth import window_halves
+from ..dataset.values import known
 from ..networks.batch import Batch, Inputs
 from .frames import collate, frame_inputs
 
@@ -100,8 +101,8 @@ class Window:
     @cached_property
     def cumulative(self) -> NDArray[np.float64]:
         weight = self.tensor("importance")[self.top : self.top + self.side, self.left : self.left + self.side]
-        whole = weight.astype(np.float64).ravel()
-        return np.cumsum(whole / whole.sum())
+        whole = np.maximum(known(weight).astype(np.float64).ravel(), 0.0)
+        return np.cumsum(whole / whole.sum() if whole.any() else np.full(whole.size, 1 / whole.size))
 
     def halves(self) -> tuple[NDArray[np.float32], ...]:
         """The window's truth [3, H, W] twice, of independent samples."""
@@ -110,7 +111,7 @@ class Window:
     @cached_property
     def cleaned(self) -> Tensor:
         """The window's truth [3, H, W] without most of its noise, see dataset/clean.py."""
-        return torch.from_numpy(self.read_cleaned())
+        return torch.from_numpy(known(self.read_cleaned()))
 
     @cached_property
     def albedo_sum(self) -> Tensor:
@@ -118,7 +119,7 @@ class Window:
         stored = self.tensor("samples.albedo")
         total = torch.zeros(3, self.side, self.side)
         for sample in range(self.samples):
-            total += torch.nan_to_num(torch.from_numpy(stored[self.number, sample]), 0.0, 0.0, 0.0)
+            total += torch.from_numpy(known(stored[self.number, sample]))
         return total
 
     def corner(self, size: int, rng: np.random.Generator) -> tuple[int, int]:
@@ -138,7 +139,7 @@ class Window:
         """Samples by number and the truth of the crop: tensors S x C x h x w and C x h x w, float32.
 
         Path descriptors are read of the first `paths` of `numbers`, or of as many of these as they are stored of, and
-        stay float16. Non-finite samples count as black.
+        stay float16. Unknown values count as black.
         """
         inside = slice(y, min(y + size, self.side)), slice(x, min(x + size, self.side))
         whole = [slice(s.start + o, s.stop + o) for s, o in zip(inside, (self.top, self.left), strict=True)]
@@ -147,16 +148,14 @@ class Window:
         def read(name: str, chosen: NDArray[np.intp]) -> Tensor:
             stored = self.tensor(name)  # indexed by one number at a time: safetensors takes no lists
             values = np.stack([stored[self.number, int(sample), :, *inside] for sample in chosen])
-            return torch.nan_to_num(torch.from_numpy(values), 0.0, 0.0, 0.0)
+            return torch.from_numpy(known(values))
 
         inputs = {name: read(name, numbers).float() for name in SAMPLE_NAMES}
         if len(described):
             inputs["samples.descriptor"] = read("samples.descriptor", described)
             inputs["samples.density"] = read("samples.density", described)
         truth = {
-            name.removeprefix("reference."): torch.nan_to_num(
-                torch.from_numpy(self.tensor(name)[:, *whole]), 0.0, 0.0, 0.0
-            )
+            name.removeprefix("reference."): torch.from_numpy(known(self.tensor(name)[:, *whole]))
             for name in TRUTH_NAMES
         }
         return inputs, truth

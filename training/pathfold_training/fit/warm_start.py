@@ -15,6 +15,7 @@ from ..networks import narrow
 from ..networks.embedding import Standardised
 from ..networks.families import FAMILIES, family
 from .checkpoint import START, load_checkpoint, read_manifest
+from .finite import not_finite
 from .task import Denoising
 
 
@@ -108,4 +109,7 @@ def graph_weights(file: Path) -> dict[str, torch.Tensor]:
     read = [name for node in model.graph.node if node.op_type == "Conv" for name in node.input[1:]]
     if len(set(read)) < len(read):  # the exporter merges equal ones, those of untrained layers
         raise ValueError(f"{file}: some layers' weights are equal and cannot be told apart; give the run's last.ckpt")
-    return {tensor.name: torch.from_numpy(numpy_helper.to_array(tensor).copy()) for tensor in model.graph.initializer}
+    weights = {t.name: torch.from_numpy(numpy_helper.to_array(t).copy()) for t in model.graph.initializer}
+    if name := not_finite(weights):
+        raise ValueError(f"{file}: weight {name} is not finite; {START}")
+    return weights

@@ -14,6 +14,7 @@ from torch.nn.utils import parametrize
 
 from ..files import make_folder
 from ..fit.checkpoint import load_checkpoint, training_seconds
+from ..fit.finite import not_finite
 from ..fit.task import Denoising
 from ..fit.views import Window
 from ..networks.family import Graph
@@ -28,7 +29,7 @@ OPSET = 18
 def load_task(checkpoint: Path) -> tuple[Denoising, dict]:
     """The trained task in evaluation mode as it is exported, and the checkpoint's state.
 
-    Weight norm is folded, weights are rounded to what is stored of them.
+    Weight norm is folded, weights are rounded to what is stored of them. Raises ValueError where one is not finite.
     """
     config, state = load_checkpoint(checkpoint)
     task = Denoising(config)
@@ -37,6 +38,8 @@ def load_task(checkpoint: Path) -> tuple[Denoising, dict]:
         if parametrize.is_parametrized(module):
             parametrize.remove_parametrizations(module, "weight")
     task.model.round_weights()
+    if name := not_finite(task.state_dict()):
+        raise ValueError(f"{checkpoint}: weight {name} is too large to be stored; train with a lower learning_rate")
     return task.float().eval(), state
 
 
