@@ -57,7 +57,7 @@ def test_a_guide_beside_the_picture_is_not_used(beside: bool, tmp_path: Path) ->
     file = ImageFile(write(tmp_path / "a.exr", [picture] if beside else [picture, guide]))
     (frame,) = channels.match(file, {}, {"albedo": write(tmp_path / "b.exr", [guide])} if beside else {})
     assert "albedo" not in frame.sources
-    (note,) = frame.notes
+    note = frame.notes[0]
     assert "albedo is not used, it lies beside the picture" in note and "12x9 at 12,0, the picture 12x9 at 0,0" in note
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from pathfold.channels.source import Source
-from pathfold.images import ImageError, ImageFile, Layer, views
+from pathfold.images import ImageError, ImageFile, Layer
 
 
 def star(pattern: str, layer: Layer) -> str | None:
@@ -21,7 +21,7 @@ def serves(layer: Layer, view: str, file: ImageFile) -> bool:
     """Whether a layer belongs to a picture of this view: to its own, or to none; a file's only view is everybody's."""
     if layer.view in (view, ""):
         return True
-    return not view and len({one for one in views(file.layers) if one}) == 1
+    return not view and len(file.views) == 1
 
 
 def resolve(

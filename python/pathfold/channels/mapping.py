@@ -3,6 +3,7 @@
 A layer has one role: what is the beauty is never a guide, and no guide is two. An explicit name comes before a row.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from pathfold.channels import words
 from pathfold.channels.beside import from_file
 from pathfold.channels.find import named, resolve, serves
 from pathfold.channels.pictures import Picture, main, none_found, pictures
-from pathfold.channels.presets import Preset, detect, presets
+from pathfold.channels.presets import Preset, detect, in_view_layers, presets
 from pathfold.channels.source import Source, evaluate
 from pathfold.images import ImageError, ImageFile, Layer, Window, views
 
@@ -86,11 +87,19 @@ def match(
         if overrides.get(name, "").lower() == "none":
             raise ImageError(f"{guides[name]}: --map {name}=none leaves it out; give one of them")
     opened = {name: ImageFile(path) for name, path in guides.items()}
-    for preset in (detect(file), presets()[-1]):
+    common = presets()[-1]
+    for preset in (detect(file), common, *([in_view_layers(common)] if _in_view_layers(file) else [])):
         if found := pictures(file, preset, overrides.get("color")):
             frames = [_Mapper(file, preset, overrides, picture).frame(opened) for picture in found]
             return _with_notes(file, frames, overrides)
     raise none_found(file)
+
+
+def _in_view_layers(file: ImageFile) -> bool:
+    """Whether the names of all layers begin with that of one of several layers each."""
+    names = [layer.name for layer in file.layers]
+    begin = Counter(name.partition(".")[0] for name in names)
+    return all("." in name and begin[name.partition(".")[0]] > 1 for name in names)
 
 
 def load(file: ImageFile, frame: Frame, name: str) -> NDArray[np.float32]:
@@ -242,11 +251,12 @@ def _with_notes(file: ImageFile, frames: Sequence[Frame], overrides: Mapping[str
             )
     unused: list[list[str]] = [[] for _ in frames]
     for layer in file.layers:
-        beside = all(layer.window.common(frame.window) is None for frame in frames)  # told already, if it could be one
-        buffer = None if layer in used or beside or "samples." in layer.name else _seems(layer)
+        buffer = None if layer in used or "samples." in layer.name else _seems(layer)
         if buffer and overrides.get(buffer, "").lower() != "none":
             owner = next((at for at, frame in enumerate(frames) if serves(layer, frame.color_layer.view, file)), 0)
-            unused[owner].append(f"{layer.label} (--map {buffer}={layer.option})")
+            overlaps = layer.window.common(frames[owner].window)
+            why = f"--map {buffer}={layer.option}" if overlaps else "beside the picture"
+            unused[owner].append(f"{layer.label} ({why})")
     for at, lines in enumerate(unused):
         more = f" and {len(lines) - _TOLD} more" if len(lines) > _TOLD else ""
         notes[at] += [f"not used: {', '.join(lines[:_TOLD])}{more}"] if lines else []

@@ -59,7 +59,11 @@ def _cure(file: ImageFile) -> str:
     if not others and luminance:
         channel = luminance.name or "Y"
         return f"a picture of one channel is named by --map color={','.join([channel] * 3)}"
-    return "name it with --map color=LAYER"
+    could = [
+        layer for layer in others if not any(words.data(name) or words.light(name) for name in layer.names if name)
+    ]
+    example = f", perhaps --map color={could[0].option}" if len(could) == 1 else ""
+    return f"name it with --map color=LAYER{example}"
 
 
 def _chosen(file: ImageFile, text: str) -> list[Layer]:

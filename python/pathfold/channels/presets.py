@@ -14,7 +14,7 @@ stands where a ray hit nothing: a number, or "sky", the background itself.
 
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cache
 from importlib.resources import files
@@ -71,6 +71,21 @@ def detect(file: ImageFile) -> Preset:
     entries = {name.lower(): str(value) for name, value in file.metadata().items()}
     names = {name for layer in file.layers for name in (*layer.names, *([""] if layer.bare else []))}
     return next(preset for preset in presets() if _wrote(preset, entries, names))
+
+
+def in_view_layers(preset: Preset) -> Preset:
+    """The same names, each with a view layer before it, whoever wrote them so."""
+
+    def within(row: Any) -> Any:
+        if isinstance(row, dict):
+            return {key: within(value) if key != "divide_by" else value for key, value in row.items()}
+        return [within(name) for name in row] if isinstance(row, list) else f"*.{row}"
+
+    rows = {
+        buffer: [within(row) for row in entries if row and "*" not in str(row)]
+        for buffer, entries in preset.buffers.items()
+    }
+    return replace(preset, buffers=rows)
 
 
 def _read(name: str) -> dict[str, Any]:

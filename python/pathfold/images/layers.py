@@ -60,7 +60,7 @@ class Layer:
 
 def layers(parts: Sequence[oiio.ImageSpec]) -> list[Layer]:
     """All layers of a file but those of deep parts, in its order."""
-    views = _views(parts)
+    views = declared_views(parts)
     found = []
     for number, spec in enumerate(parts):
         if not spec.deep:
@@ -71,6 +71,13 @@ def layers(parts: Sequence[oiio.ImageSpec]) -> list[Layer]:
         only = pictures[0]
         found[found.index(only)] = replace(only, names=tuple(dict.fromkeys((*only.names, ""))))
     return found
+
+
+def declared_views(parts: Sequence[oiio.ImageSpec]) -> list[str]:
+    """All views that a file speaks of, in the order of `multiView` and the parts."""
+    said = [view for spec in parts for view in (*_multi_view(spec), spec.get_string_attribute("view")) if view]
+    sections = {section.casefold() for spec in parts for section in _all_sections(spec)}
+    return list(dict.fromkeys([*said, *(sorted(_EYES) if sections >= _EYES else ())]))
 
 
 def views(layers: Iterable[Layer]) -> list[str]:
@@ -127,13 +134,6 @@ def _title(spec: oiio.ImageSpec) -> str:
 def _multi_view(spec: oiio.ImageSpec) -> tuple[str, ...]:
     said = spec.getattribute("multiView")
     return () if not said else (said,) if isinstance(said, str) else tuple(map(str, said))
-
-
-def _views(parts: Sequence[oiio.ImageSpec]) -> list[str]:
-    """All views that a file speaks of, in the order of `multiView` and the parts."""
-    said = [view for spec in parts for view in (*_multi_view(spec), spec.get_string_attribute("view")) if view]
-    sections = {section.casefold() for spec in parts for section in _all_sections(spec)}
-    return list(dict.fromkeys([*said, *(sorted(_EYES) if sections >= _EYES else ())]))
 
 
 def _all_sections(spec: oiio.ImageSpec) -> Iterable[str]:

@@ -12,7 +12,7 @@ import OpenImageIO as oiio  # noqa: N813
 from numpy.typing import NDArray
 
 from pathfold.images.errors import ImageError, first_line
-from pathfold.images.layers import Layer, layers
+from pathfold.images.layers import Layer, declared_views, layers
 from pathfold.images.window import Window, lay
 
 BAND = 64  # rows read or written at a time; a multiple of every scanline compression's block
@@ -39,6 +39,7 @@ class ImageFile:
             if spec.width < 1 or spec.height < 1 or spec.nchannels < 1:
                 raise ImageError(f"{self.path}: has no pixels ({spec.width}x{spec.height}, {spec.nchannels} channels)")
         self.layers = layers(self.parts)
+        self.views = declared_views(self.parts)
 
     def part_name(self, part: int) -> str:
         return str(self.parts[part].get_string_attribute("oiio:subimagename"))
