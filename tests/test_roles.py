@@ -87,7 +87,8 @@ def test_films_in_other_colours_say_how_to_name_them(names: str, cure: str, tmp_
     with pytest.raises(ImageError, match=f"--map color={cure}"):
         channels.match(file)
     (frame,) = channels.match(file, {"color": cure})
-    assert any("CIE XYZ" in note for note in frame.notes) == ("X" in names)
+    assert [note.split(",")[0] for note in frame.notes] == ["color is CIE XYZ"] * ("X" in names)
+    assert ("alpha" in frame.sources) == ("A" in names)
     assert channels.load(file, frame, "color").shape[-1] == 3
 
 

@@ -149,3 +149,4 @@ def test_a_named_color_is_that_of_each_view(tmp_path: Path) -> None:
 def test_without_any_view_left_is_a_name(tmp_path: Path) -> None:
     (frame,) = channels.match(named(tmp_path / "a.exr", ["", "left"], declared=False))
     assert frame.color_layer.view == "" and ImageFile(tmp_path / "a.exr").layer("left") is not None
+    assert frame.notes == ("left is no view by the header and stays as it is; --map color=left",)

@@ -155,8 +155,11 @@ class _Mapper:
             if source and fits and not self._taken(name, source):
                 self._add(name, replace(source, preset=preset))
                 return
-        if name == "alpha" and "A" in self._color.channels:
-            self._add(name, Source((self._color,), "A"))
+        bare = (layer for layer in self._file.layers if layer.bare and layer.part == self._color.part)
+        for layer in (self._color, *bare) if name == "alpha" else ():
+            if "A" in layer.channels and layer.view == self._color.view:
+                self._add(name, Source((layer,), "A"))
+                return
 
     def _rows(self, name: str) -> Iterator[tuple[Preset, Any]]:
         """The rows of the writer, then, for guides, those that mean the same with everybody."""
@@ -240,8 +243,12 @@ def _complete_split(sources: dict[str, Source]) -> dict[str, Source]:
 
 def _with_notes(file: ImageFile, frames: Sequence[Frame], overrides: Mapping[str, str]) -> list[Frame]:
     """The frames, each told what looks like a guide of its own and is not used; the first one the rest."""
-    used = {layer for frame in frames for source in frame.sources.values() for layer in _all_read(source)}
-    used |= {frame.color_layer for frame in frames}
+    used = {
+        channel
+        for frame in frames
+        for layer in (frame.color_layer, *(one for source in frame.sources.values() for one in _all_read(source)))
+        for channel in _all_channels(layer)
+    }
     seen = {frame.color_layer.view for frame in frames}
     notes = [list(frame.notes) for frame in frames]
     for view in views(file.layers):
@@ -249,9 +256,12 @@ def _with_notes(file: ImageFile, frames: Sequence[Frame], overrides: Mapping[str
             notes[0].append(
                 f"view {view} has no picture that is known: it stays as it is; name it with --map color=LAYER"
             )
+    for layer in file.layers:
+        if layer.name.casefold() in ("left", "right") and layer.pick(3) and not used & _all_channels(layer):
+            notes[0].append(f"{layer.label} is no view by the header and stays as it is; --map color={layer.option}")
     unused: list[list[str]] = [[] for _ in frames]
     for layer in file.layers:
-        buffer = None if layer in used or "samples." in layer.name else _seems(layer)
+        buffer = None if used & _all_channels(layer) or "samples." in layer.name else _seems(layer)
         if buffer and overrides.get(buffer, "").lower() != "none":
             owner = next((at for at, frame in enumerate(frames) if serves(layer, frame.color_layer.view, file)), 0)
             overlaps = layer.window.common(frames[owner].window)
@@ -264,6 +274,10 @@ def _with_notes(file: ImageFile, frames: Sequence[Frame], overrides: Mapping[str
         if set("XYZ") <= {name.upper() for name in frame.sources["color"].layers[0].name.split(",")}:
             notes[at].append("color is CIE XYZ, which is filtered as it stands; convert it to RGB for the best result")
     return [replace(frame, notes=tuple(lines)) for frame, lines in zip(frames, notes, strict=True)]
+
+
+def _all_channels(layer: Layer) -> set[tuple[int, int]]:
+    return {(layer.part, number) for number in layer.channels.values()}
 
 
 def _all_read(source: Source) -> set[Layer]:
