@@ -1,7 +1,7 @@
 """Denoising picture files: frames and layers of an EXR through a `Denoiser`, all else kept."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from time import perf_counter
@@ -36,6 +36,7 @@ class Denoised:
     lost: int = 0  # the number of pixels where not one has finite color: the result is black
     budget: tuple[str, ...] = ()  # what was chosen to stay inside a budget, and what was given up for it
     converted: tuple[str, ...] = ()  # what was made of the file's buffers at reading
+    written: tuple[str, ...] = ()  # what of the file is stored otherwise than it was, or with loss; of its last frame
 
 
 def denoise_file(
@@ -99,8 +100,8 @@ def denoise_file(
         "pathfold:exposure": f"{done[0].result.report['exposure']:.7g}",
     }
     leave_out = [part] if part and not keep_samples else []
-    save_as(file, target, changed, leave_out=leave_out, metadata=notes)
-    return done
+    written = save_as(file, target, changed, leave_out=leave_out, metadata=notes)
+    return [*done[:-1], replace(done[-1], written=tuple(written))]
 
 
 def open_linear(path: Path) -> ImageFile:

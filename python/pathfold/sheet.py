@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pathfold.channels.convert import encoded
 from pathfold.channels.presets import FARTHEST
-from pathfold.images import OutputError, check_writable, replacing
+from pathfold.images import OutputError, check_writable, replacing, why
 
 UNUSED = "unused"
 _WIDTH, _GAP, _LINE, _MARGIN, _COLUMNS = 320, 20, 22, 32, 4
@@ -67,7 +67,7 @@ def write(path: Path, title: str, subtitle: str, tiles: Sequence[Tile]) -> None:
     sheet = _draw(title, subtitle, tiles)
     with replacing(path) as unfinished:
         if not sheet.write(str(unfinished)):
-            raise OutputError(f"{path}: cannot be written: {sheet.geterror()}")
+            raise OutputError(f"{path}: cannot be written: {why(sheet)}")
 
 
 def thumbnail(tile: Tile, width: int = _WIDTH) -> Pixels:

@@ -116,6 +116,8 @@ def denoise(
                 if stay := noisy_layers(one):
                     console.say(f"  as noisy as before: {', '.join(stay)}; name radiance layers with --layer")
             console.say(f"{clean}")
+            for line in done[-1].written:
+                console.say(f"  {line}")
 
 
 def parse_map(entries: Sequence[str]) -> dict[str, str]:

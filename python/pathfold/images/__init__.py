@@ -2,7 +2,7 @@
 untouched.
 """
 
-from pathfold.images.errors import ImageError, OutputError
+from pathfold.images.errors import ImageError, OutputError, why
 from pathfold.images.layers import Layer, views
 from pathfold.images.read import ImageFile
 from pathfold.images.replace import check_output, check_writable, replacing
@@ -24,6 +24,7 @@ __all__ = [
     "replacing",
     "save_as",
     "views",
+    "why",
     "write_parts",
     "writing_mb",
 ]

@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 from numpy.typing import NDArray
 
-from pathfold.images.errors import ImageError, first_line
+from pathfold.images.errors import ImageError, as_text, why
 from pathfold.images.layers import Layer, declared_views, layers
 from pathfold.images.window import Window, lay
 
@@ -20,6 +21,9 @@ _KEPT_BYTES = 2 << 30  # a larger part is read layer by layer
 _SAMPLE = re.compile(r"samples\.(\d+)\..+")
 # A 64-sample file has thousands of channels, more than OpenImageIO opens by itself.
 oiio.attribute("limits:channels", 1 << 16)
+# PFMs begin with the lowest row; without this they would be read upside down.
+_UPRIGHT = oiio.ImageSpec()
+_UPRIGHT.attribute("pnm:pfmflip", 1)
 
 
 class ImageFile:
@@ -38,8 +42,11 @@ class ImageFile:
         for spec in self.parts:
             if spec.width < 1 or spec.height < 1 or spec.nchannels < 1:
                 raise ImageError(f"{self.path}: has no pixels ({spec.width}x{spec.height}, {spec.nchannels} channels)")
-        self.layers = layers(self.parts)
-        self.views = declared_views(self.parts)
+        try:
+            self.layers = layers(self.parts)
+            self.views = declared_views(self.parts)
+        except UnicodeDecodeError as error:
+            raise ImageError(f"{self.path}: damaged: a name in its header is not UTF-8") from error
 
     def part_name(self, part: int) -> str:
         return str(self.parts[part].get_string_attribute("oiio:subimagename"))
@@ -53,8 +60,12 @@ class ImageFile:
         return None
 
     def metadata(self) -> dict[str, object]:
-        """The first part's header entries."""
-        return {entry.name: entry.value for entry in self.parts[0].extra_attribs}
+        """The first part's header entries, but those whose text is not UTF-8: they are only copied."""
+        found: dict[str, object] = {}
+        for entry in self.parts[0].extra_attribs:
+            with suppress(UnicodeDecodeError):
+                found[entry.name] = entry.value
+        return found
 
     def called(self, name: str) -> list[Layer]:
         """The layers that go by this name: upper and lower case as given first, then alike."""
@@ -107,7 +118,7 @@ class ImageFile:
 
     def _checked(self, pixels: NDArray[Any] | None) -> NDArray[np.float32]:
         if pixels is None:
-            raise ImageError(f"{self.path}: damaged: {first_line(self.input.geterror())}")
+            raise ImageError(f"{self.path}: damaged: {why(self.input)}")
         return pixels
 
 
@@ -116,7 +127,10 @@ def _open(path: Path) -> oiio.ImageInput:
         raise ImageError(f"{path}: no such file" if not path.exists() else f"{path}: is not a file")
     if not os.access(path, os.R_OK):
         raise ImageError(f"{path}: may not be read (permission denied)")
-    opened = oiio.ImageInput.open(str(path))
+    try:
+        opened = oiio.ImageInput.open(as_text(path), _UPRIGHT)
+    except ValueError as error:
+        raise ImageError(str(error)) from error
     if opened is None:
-        raise ImageError(f"{path}: not a picture that can be read: {first_line(oiio.geterror())}")
+        raise ImageError(f"{path}: not a picture that can be read: {why()}")
     return opened

@@ -10,9 +10,10 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 from numpy.typing import NDArray
 
-from pathfold.images.errors import OutputError, first_line
+from pathfold.images.errors import OutputError, why
 from pathfold.images.read import BAND, ImageFile
 from pathfold.images.replace import replacing
+from pathfold.images.storage import Storage, storage
 
 HALF_MAX = 65504.0
 MAX_CHANNELS = 4096  # of one part, as OpenImageIO writes EXRs
@@ -32,11 +33,11 @@ def save_as(
     *,
     leave_out: Sequence[int] = (),
     metadata: Mapping[str, str] | None = None,
-) -> None:
-    """Write the file again with some channels changed, everything else as it was.
+) -> list[str]:
+    """Write the file again with some channels changed, everything else as it was; a line for all that is not so.
 
-    `changed`: (part, channel number) -> height x width; pixel types stay, so half channels are capped
-    at 65504.
+    `changed`: (part, channel number) -> height x width; pixel types stay, so half channels are capped at 65504.
+    Parts without a change are stored without loss, and so is a part whose compression would make a value infinite.
     `leave_out`: parts that are not copied. `metadata` is added to the first part.
     Raises OutputError; the file appears whole or not at all.
     """
@@ -47,17 +48,46 @@ def save_as(
                 f"{file.path}: part '{file.part_name(number)}' is deep, which cannot be written beside "
                 "flat parts; have it written to a file of its own"
             )
-    specs = [file.parts[number].copy() for number in kept]
+    if len(kept) > 1 and not _holds_parts(path):
+        raise OutputError(f"{path}: this format holds one picture, {file.path} has {len(kept)}; name it .exr")
+    touched = {part for part, _ in changed}
+    suffix = Path(path).suffix.lower()
+    parts = {number: storage(file.parts[number], number in touched, suffix) for number in kept}
     for name, value in (metadata or {}).items():
-        specs[0].attribute(name, value)
-    with replacing(path) as unfinished, _Writer(unfinished, specs) as writer:
-        for number in kept:
+        parts[kept[0]].spec.attribute(name, value)
+    with replacing(path) as unfinished:
+        finite = _write(file, unfinished, parts, changed)
+        if any(part.rings for part in parts.values()):
+            for at, (number, part) in enumerate(parts.items()):
+                if part.rings and _finite(ImageFile(unfinished), at) < finite[number]:
+                    parts[number] = part.without_loss("values near the largest would become infinite")
+            if any(not part.rings and number in finite for number, part in parts.items()):
+                _write(file, unfinished, parts, changed)
+    several = len(parts) > 1
+    return [f"part {number}: {line}" if several else line for number, part in parts.items() for line in part.lines]
+
+
+def _write(
+    file: ImageFile, path: Path, parts: Mapping[int, Storage], changed: Mapping[tuple[int, int], NDArray[np.float32]]
+) -> dict[int, int]:
+    """Write the parts by number; returns how many values of each are finite whose compression may ring."""
+    finite = {}
+    with _Writer(path, [part.spec for part in parts.values()]) as writer:
+        for number, part in parts.items():
             writer.next_part()
-            if any(part == number for part, _ in changed):
-                writer.write(_merged(file, number, changed))
+            if any(touched == number for touched, _ in changed):
+                pixels = _merged(file, number, changed)
+                writer.write(pixels)
+                if part.rings:
+                    finite[number] = int(np.isfinite(pixels).sum())
             else:
                 file.input.seek_subimage(number, 0)
                 writer.copy(file.input)
+    return finite
+
+
+def _finite(file: ImageFile, part: int) -> int:
+    return sum(int(np.isfinite(rows).sum()) for _, rows in file.bands(part))
 
 
 def _merged(file: ImageFile, part: int, changed: Mapping[tuple[int, int], NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -67,7 +97,7 @@ def _merged(file: ImageFile, part: int, changed: Mapping[tuple[int, int], NDArra
     for number, kind in enumerate(formats):
         new = changed.get((part, number))
         if new is not None:
-            pixels[..., number] = np.minimum(new, HALF_MAX) if kind == oiio.TypeHalf else new
+            pixels[..., number] = np.clip(new, -HALF_MAX, HALF_MAX) if kind == oiio.TypeHalf else new
         elif kind == oiio.TypeUInt and pixels[..., number].max() * 4294967295.0 > _FLOAT_EXACT:
             raise OutputError(
                 f"{file.path}: channel '{spec.channelnames[number]}' holds integers above "
@@ -75,6 +105,11 @@ def _merged(file: ImageFile, part: int, changed: Mapping[tuple[int, int], NDArra
                 "have it written to a part of its own"
             )
     return pixels
+
+
+def _holds_parts(path: str | os.PathLike[str]) -> bool:
+    output = oiio.ImageOutput.create(str(path))
+    return output is not None and bool(output.supports("multiimage"))
 
 
 @dataclass(frozen=True)
@@ -118,7 +153,7 @@ class _Writer:
         self._path, self._specs, self._part = path, specs, -1
         self._output: Any = oiio.ImageOutput.create(str(path))
         if self._output is None:
-            raise OutputError(f"{path}: {first_line(oiio.geterror())}")
+            raise OutputError(f"{path}: {why()}")
 
     def __enter__(self) -> "_Writer":
         return self
@@ -148,5 +183,5 @@ class _Writer:
 
     def _check(self, done: bool) -> None:
         if not done:
-            reason = first_line(self._output.geterror()) or "the disk may be full"
+            reason = why(self._output) or "the disk may be full"
             raise OutputError(f"{self._path}: cannot be written: {reason}")

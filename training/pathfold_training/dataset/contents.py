@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pathfold.images import why
 
 from ..scenes.faults import Gallery
 from . import store
@@ -100,7 +101,7 @@ def _write(picture: Path, pixels: NDArray[np.uint8]) -> None:
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, "uint8")
     output = oiio.ImageOutput.create(str(picture))
     if output is None or not output.open(str(picture), spec):
-        reason = oiio.geterror() if output is None else output.geterror()
+        reason = why(output or oiio)
         raise OSError(f"cannot write {picture}: {reason.strip()}; give a .jpg or .png in a folder that exists")
     output.write_image(pixels)
     output.close()
