@@ -1,8 +1,13 @@
-"""The references of `pathfold check`: every case of pathfold.check.cases through the whole chain in float64 torch."""
+"""The references of `pathfold check`: every case of pathfold.check.cases through the whole chain in float64 torch.
+
+`python -m pathfold_training.release.check_references MODEL_FOLDER ...` writes them anew from a model, where the
+cases have changed or what is made of a frame.
+"""
 
 from __future__ import annotations
 
 import copy
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +20,11 @@ from pathfold.check.prepare import Prepared, prepare, reads
 from pathfold.check.references import References, frame_hash
 from torch import Tensor
 
+from ..fit.checkpoint import read_manifest
+from ..fit.preset import Config
 from ..fit.task import Denoising
+from ..fit.warm_start import warm_start
+from ..networks.families import FAMILIES, family
 
 
 def write_references(task: Denoising, folder: Path, manifest: dict[str, Any]) -> None:
@@ -30,6 +39,17 @@ def write_references(task: Denoising, folder: Path, manifest: dict[str, Any]) ->
         made.images[case.name] = image.astype(np.float32)  # half a unit in the last place: far below any tolerance
         made.frames[case.name] = frame_hash(buffers)
     references.write(folder, manifest, made)
+
+
+def renew_references(folder: Path) -> None:
+    """Write references.npz of an exported model anew. Raises ValueError for a folder that `export` did not write."""
+    manifest = read_manifest(folder)
+    config, network = manifest["training"]["config"], manifest["training"]["config"]["network"]
+    known = FAMILIES[family(network)].sizes.model_fields  # what was a choice once may be none any more
+    chosen = {"name": config["name"], "description": config["description"]}
+    task = Denoising(Config.model_validate(chosen | {"network": {k: v for k, v in network.items() if k in known}}))
+    warm_start(task, folder)
+    write_references(task.eval(), folder, manifest)
 
 
 def denoise(task: Denoising, frame: Prepared) -> tuple[NDArray[np.float64], float]:
@@ -55,3 +75,8 @@ def tensor(name: str, values: NDArray[np.float64]) -> Tensor:
     if block.ndim == 1:
         return block
     return (block if name.startswith("samples.") else block[None]).permute(0, 3, 1, 2)
+
+
+if __name__ == "__main__":
+    for model in sys.argv[1:]:
+        renew_references(Path(model))
