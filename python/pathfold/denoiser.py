@@ -38,7 +38,8 @@ class Result:
     diffuse: NDArray[np.float32] | None = None  # with `specular`, where the frame came split
     specular: NDArray[np.float32] | None = None
     layers: dict[str, NDArray[np.float32]] = field(default_factory=dict)
-    report: dict[str, Any] = field(default_factory=dict)  # what was used, left out, sanitised and spent
+    # what was used, left out and spent, `sanitised` (by buffer: what was wrong, in how many pixels), `notes`
+    report: dict[str, Any] = field(default_factory=dict)
 
     def images(self) -> dict[str, NDArray[np.float32]]:
         """The denoised buffers that there are, by name."""
@@ -116,7 +117,8 @@ class Denoiser:
 
         Images are height x width x channels (one-channel ones may be height x width), float32 or float16,
         any strides:
-        `color`, `diffuse`, `specular`: linear radiance >= 0; `diffuse_albedo` in [0, 1]; `albedo` in [0, 1],
+        `color`, `diffuse`, `specular`: linear radiance, below 0 only in colours outside of the gamut;
+        `diffuse_albedo` in [0, 1]; `albedo` in [0, 1],
         1 on a miss and on visible lights; `normal` in [-1, 1], in camera space, 0 on a miss; `depth` > 0, 0 on a
         miss; `alpha` in [0, 1]; the variances are those of the pixel mean.
         `samples`: {"descriptor": S x H x W x C, "density": S x H x W x 1, "valid": S x H x W x 1

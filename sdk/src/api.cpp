@@ -11,6 +11,7 @@
 #include "model.h"
 #include "pathfold/pathfold.h"
 #include "prepare.h"
+#include "radiance.h"
 #include "reads.h"
 #include "reconstruct.h"
 
@@ -266,6 +267,7 @@ pathfold_status pathfold_denoiser_plan(const pathfold_denoiser *denoiser, pathfo
 pathfold_status pathfold_denoiser_run(pathfold_denoiser *denoiser) {
     return guarded([&] {
         pathfold_denoiser &at = given(denoiser, "denoiser");
+        at.report = "{}"; // where the run fails, that before says nothing of it
         at.report = at.denoiser.run(at.frame, at.settings);
     });
 }
@@ -283,8 +285,9 @@ pathfold_status pathfold_auto_exposure(const pathfold_image *color, float *expos
         view.expect_data("color");
         std::vector<uint8_t> valid(size_t(view.width()) * view.height(), 1);
         Threads threads;
-        Counts counts;
-        const Planes planes = load_radiance(view, false, valid, threads, counts);
+        Mended mended;
+        Planes planes = load_radiance(view, threads);
+        sanitise_radiance(planes, "color", valid, threads, mended);
         *exposure = auto_exposure({&planes}, valid, 0.18f, threads);
     });
 }

@@ -151,6 +151,17 @@ TEST(Api, TheWrapperDenoises) {
         EXPECT_GE(value, 0.0f);
 }
 
+TEST(Api, TheReportIsOfTheLastRun) {
+    Pixels color = noise(24, 36, 3, 1), result(24, 36, 3);
+    color.at(1, 2, 0) = -9e9f;
+    Denoiser denoiser{Model(model_folder("single-3"))};
+    denoiser.input("color", color.image()).output("color", result.image());
+    const std::string told = "\"sanitised\":{\"color\":{\"negative (set to 0)\":1}}";
+    EXPECT_NE(denoiser.run().find(told), std::string::npos);
+    EXPECT_NE(message_of(PATHFOLD_CANCELLED, [&] { denoiser.run([](float) { return false; }); }), "");
+    EXPECT_STREQ(pathfold_denoiser_report(denoiser.get()), "{}");
+}
+
 TEST(Api, PrecisionIsChosenAtLoad) {
     const std::string folder = model_folder("quantised-3");
     EXPECT_EQ(Model(folder, {"cpu", "int8", 1}).precision(), "int8");

@@ -1,7 +1,5 @@
 #include "buffers.h"
 
-#include <limits>
-
 namespace pathfold::core {
 
 const std::vector<BufferKind> &buffer_kinds() {
@@ -39,13 +37,11 @@ std::string buffer_names() {
 }
 
 const std::vector<Guide> &guides() {
-    constexpr float largest = std::numeric_limits<float>::max();
-    constexpr float brightest = 1e4f; // times the radiance cap / 0.00316 it is still a float
     static const std::vector<Guide> all = {
-        {"albedo", {0, brightest}, true},
-        {"normal", {-1, 1}, true},
-        {"depth", {0, largest}, true},
-        {"diffuse.albedo", {0, brightest}, false}, // where the frame is split, it is there
+        {"albedo", {{0, 1}, Missing::mean, false}, true},
+        {"normal", {{-1, 1}, Missing::zero, false}, true},
+        {"depth", {{0, farthest_depth}, Missing::zero, true}, true},
+        {"diffuse.albedo", {{0, 1}, Missing::mean, false}, false}, // where the frame is split, it is there
     };
     return all;
 }
@@ -57,9 +53,12 @@ const Guide *find_guide(const std::string &name) {
     return nullptr;
 }
 
-Range guide_range(const std::string &buffer) {
-    const Guide *guide = find_guide(buffer);
-    return guide != nullptr ? guide->range : Range{0, std::numeric_limits<float>::max()};
+Meaning meaning_of(const std::string &buffer) {
+    if (const Guide *guide = find_guide(buffer))
+        return guide->meaning;
+    if (buffer == "alpha")
+        return {{0, 1}, Missing::mean, false};
+    return {{0, largest_variance}, Missing::most, true};
 }
 
 } // namespace pathfold::core

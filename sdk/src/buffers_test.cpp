@@ -24,12 +24,12 @@ TEST(Buffers, GuidesAreBuffersOfPixels) {
         const BufferKind *kind = find_buffer(guide.name);
         ASSERT_NE(kind, nullptr) << guide.name;
         EXPECT_EQ(kind->per_sample, 0) << guide.name;
-        EXPECT_LT(guide.range.least, guide.range.most) << guide.name;
+        EXPECT_LT(guide.meaning.range.least, guide.meaning.range.most) << guide.name;
         EXPECT_EQ(find_guide(guide.name), &guide);
     }
     EXPECT_EQ(find_guide("color"), nullptr);
-    EXPECT_EQ(guide_range("normal").least, -1);
-    EXPECT_EQ(guide_range("variance").least, 0);
+    EXPECT_EQ(meaning_of("normal").range.least, -1);
+    EXPECT_EQ(meaning_of("variance").range.least, 0);
 }
 
 } // namespace pathfold::core

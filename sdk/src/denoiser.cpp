@@ -14,14 +14,16 @@ namespace pathfold::core {
 class Denoiser::Run {
 public:
     Run(Denoiser &denoiser, const Frame &frame, const Reads &reads, const Settings &settings)
-        : denoiser_(denoiser), frame_(frame), reads_(reads), settings_(settings), model_(*denoiser.model_),
+        : denoiser_(denoiser), frame_(frame), settings_(settings), model_(*denoiser.model_),
           manifest_(model_.manifest()), threads_(denoiser.threads_), operator_(*denoiser.operator_),
-          prepared_(prepare(frame, reads, settings.exposure, manifest_.exposure_key, threads_)),
-          packer_(frame, reads, prepared_, model_, threads_, denoiser.tensors_),
-          report_(reads.branches.size()) {
+          guides_(frame, reads, manifest_.requires_, threads_),
+          reads_(without(frame, guides_.silent(), reads, manifest_, settings)),
+          prepared_(prepare(frame, reads_, guides_, settings.exposure, manifest_.exposure_key, threads_)),
+          packer_(frame, reads_, guides_, prepared_, model_, threads_, denoiser.tensors_),
+          report_(reads_.branches.size()) {
         report_.times.prepare = watch_.lap();
-        plan_ = make_plan(frame, reads, model_, operator_, settings);
-        for (size_t i = 0; i < reads.branches.size(); ++i)
+        plan_ = make_plan(frame, reads_, model_, operator_, settings);
+        for (size_t i = 0; i < reads_.branches.size(); ++i)
             filters_.emplace_back(prepared_, int(i), frame.width(), frame.height());
     }
 
@@ -35,7 +37,7 @@ public:
         for (size_t i = 0; i < plan_.tiles.size(); ++i)
             denoise(plan_.tiles[i], i);
         tell_progress(1);
-        report_.counts += packer_.counts();
+        report_.samples_dropped = packer_.dropped();
         return report_.json(frame_, reads_, model_, settings_, prepared_, plan_);
     }
 
@@ -49,13 +51,14 @@ private:
 
     Denoiser &denoiser_;
     const Frame &frame_;
-    const Reads &reads_;
     const Settings &settings_;
     const Model &model_;
     const Manifest &manifest_;
     Threads &threads_;
     Operator &operator_;
     Stopwatch watch_;
+    Guides guides_;
+    Reads reads_;
     Prepared prepared_;
     Packer packer_;
     Report report_;
@@ -166,7 +169,7 @@ void Denoiser::Run::filter(const Tile &tile, int branch) {
 
 void Denoiser::Run::write(const Tile &tile) {
     const auto write_signals = [&](const ImageView &output, const std::vector<size_t> &signals) {
-        report_.counts.repaired += write_tile(threads_, prepared_, filters_, signals, tile.core, output);
+        report_.repaired += write_tile(threads_, prepared_, filters_, signals, tile.core, output);
     };
     const auto signals_of = [&](const std::string &name) {
         std::vector<size_t> found;

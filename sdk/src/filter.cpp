@@ -50,7 +50,6 @@ void Filter::add_row(size_t signal, int channel, int y, float *sums) const {
 int64_t write_tile(Threads &threads, const Prepared &prepared, const std::vector<Filter> &filters,
                    const std::vector<size_t> &signals, const Rect &core, const ImageView &output) {
     std::atomic<int64_t> repaired{0};
-    const bool keeps_sign = prepared.signals[signals[0]].keeps_sign;
     for_rows(threads, core.height, [&](int y) {
         const int channels = output.channels(), width = core.width;
         std::vector<float> pixels(size_t(width) * channels), sums;
@@ -65,7 +64,7 @@ int64_t write_tile(Threads &threads, const Prepared &prepared, const std::vector
                     for (size_t i : signals)
                         value += prepared.signals[i].values.row(c, core.y + y)[core.x + x];
                 }
-                pixels[size_t(x) * channels + c] = keeps_sign ? value : std::max(value, 0.0f);
+                pixels[size_t(x) * channels + c] = value;
             }
         }
         output.store_row(core.y + y, core.x, width, pixels.data());

@@ -42,7 +42,7 @@ bool is_converged(const Frame &frame, const Reads &reads, const Prepared &prepar
         for (size_t b = 0; b < branches; ++b) {
             frame.input(reads.branches[b].variance).load_row(0, y, core.x, core.width, variance.data());
             for (size_t i = 0; i < values; ++i) {
-                if (!(variance[i] >= 0) || !std::isfinite(variance[i]))
+                if (!(variance[i] >= 0) || !(variance[i] <= largest_variance))
                     return false;
                 color[i] += prepared.signals[b].values.row(int(i % 3), y)[core.x + i / 3];
                 deviation[i] += std::sqrt(double(variance[i])); // as if the parts' errors were the same

@@ -7,7 +7,7 @@ namespace {
 
 Prepared prepared_with(Planes values, bool demodulated) {
     Prepared prepared;
-    prepared.signals.push_back({"color", 0, demodulated, false, std::move(values)});
+    prepared.signals.push_back({"color", 0, demodulated, std::move(values)});
     return prepared;
 }
 
@@ -41,7 +41,7 @@ TEST(Needs, LayersKeepABranchBusy) {
     Prepared prepared = prepared_with(constant(0), false);
     Planes layer = constant(0);
     layer.row(0, 9)[9] = -1;
-    prepared.signals.push_back({"key", 0, false, true, layer});
+    prepared.signals.push_back({"key", 0, false, layer});
     EXPECT_FALSE(is_idle(prepared, 0, tile, 2));
 }
 

@@ -1,6 +1,7 @@
 #include "pack.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -31,9 +32,9 @@ bool is_samples(const std::string &input) { return input.rfind("samples.", 0) ==
 
 } // namespace
 
-Packer::Packer(const Frame &frame, const Reads &reads, const Prepared &prepared, const Model &model,
-               Threads &threads, TensorMemory &memory)
-    : frame_(frame), reads_(reads), prepared_(prepared), model_(model), threads_(threads),
+Packer::Packer(const Frame &frame, const Reads &reads, const Guides &guides, const Prepared &prepared,
+               const Model &model, Threads &threads, TensorMemory &memory)
+    : frame_(frame), reads_(reads), guides_(guides), prepared_(prepared), model_(model), threads_(threads),
       samples_(std::max<int64_t>(1, reads.samples)), memory_(memory) {
     for (const ActiveBranch &active : reads.branches)
         for (const auto &[name, shape] : model.graph(active.branch->graph).inputs)
@@ -133,18 +134,23 @@ float Packer::scalar(const std::string &input, int branch) const {
     return reads_.has(buffer) ? 1.0f : 0.0f;
 }
 
+/// Networks take logarithms of radiance: they are shown what is not negative.
 void Packer::pack_radiance(int branch) {
     const Planes &values = prepared_.signals[size_t(branch)].values;
     const Rect &window = tile_.window;
+    const float most = brightest_shown(prepared_.exposure);
     float *out = memory_["radiance"].data();
     for (int c = 0; c < values.channels(); ++c)
-        for (int y = 0; y < window.height; ++y, out += window.width)
-            std::copy_n(values.row(c, window.y + y) + window.x, window.width, out);
+        for (int y = 0; y < window.height; ++y, out += window.width) {
+            const float *row = values.row(c, window.y + y) + window.x;
+            std::transform(row, row + window.width, out,
+                           [=](float value) { return std::min(std::max(value, 0.0f), most); });
+        }
 }
 
 /// A buffer that the frame lacks is fed as zeros.
 void Packer::pack_guide(const std::string &input, const std::string &buffer) {
-    const Rect &window = tile_.window, &core = tile_.core;
+    const Rect &window = tile_.window;
     const int channels = channels_of(input);
     const size_t plane = size_t(window.width) * window.height;
     float *out = memory_[input].data();
@@ -152,43 +158,28 @@ void Packer::pack_guide(const std::string &input, const std::string &buffer) {
         std::fill_n(out, size_t(channels) * plane, 0.0f);
         return;
     }
-    const ImageView &view = frame_.input(buffer);
-    const Range range = guide_range(buffer);
-    oneapi::tbb::combinable<Counts> row_counts;
     for_rows(threads_, window.height, [&](int y) {
         std::vector<float> pixels(size_t(window.width) * channels);
-        view.load_row(0, window.y + y, window.x, window.width, pixels.data());
-        // The core's part by itself, so that each pixel is counted once.
-        const int left = core.x - window.x, right = left + core.width, row = window.y + y;
-        const auto sanitise = [&](int begin, int end) {
-            return sanitise_guide(pixels.data() + size_t(begin) * channels, end - begin, channels, range);
-        };
-        sanitise(0, left);
-        const Counts found = sanitise(left, right);
-        sanitise(right, window.width);
-        if (row >= core.y && row < core.y + core.height)
-            row_counts.local() += found;
+        guides_.load_row(buffer, window.y + y, window.x, window.width, pixels.data());
         for (int c = 0; c < channels; ++c)
             for (int x = 0; x < window.width; ++x)
                 out[size_t(c) * plane + size_t(y) * window.width + x] = pixels[size_t(x) * channels + c];
     });
-    row_counts.combine_each([&](const Counts &part) { counts_ += part; });
 }
 
 void Packer::pack_samples(const Names &names, int64_t first, int64_t count) {
-    oneapi::tbb::combinable<Counts> row_counts;
+    std::atomic<int64_t> dropped{0};
     oneapi::tbb::combinable<std::vector<float>> scratch;
     for_rows(threads_, int(count) * tile_.window.height, [&](int row) {
         const int64_t slot = row / tile_.window.height;
-        pack_sample_row(names, first + slot, slot, row % tile_.window.height, scratch.local(),
-                        row_counts.local());
+        dropped += pack_sample_row(names, first + slot, slot, row % tile_.window.height, scratch.local());
     });
-    row_counts.combine_each([&](const Counts &part) { counts_ += part; });
+    dropped_ += dropped;
 }
 
-/// One row of a sample, to its place `slot` in the tensors.
-void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, int row,
-                             std::vector<float> &scratch, Counts &counts) {
+/// One row of a sample, to its place `slot` in the tensors. Returns how many of its pixels were dropped.
+int64_t Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, int row,
+                                std::vector<float> &scratch) {
     const Rect &window = tile_.window;
     const size_t plane = size_t(window.width) * window.height;
     const auto read = [&](const char *name, int channels, float absent, float *out) {
@@ -209,6 +200,7 @@ void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, i
     // Without any samples there is one that says nothing.
     read("samples.valid", 1, reads_.samples > 0 ? 1.0f : 0.0f, valid);
 
+    int64_t dropped = 0;
     for (int x = 0; x < window.width; ++x) {
         float *values = descriptor + size_t(x) * channels;
         const bool finite =
@@ -218,7 +210,7 @@ void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, i
             clear_descriptor(values);
             density[x] = 0;
         }
-        counts.samples_dropped += !finite && in_core(window.x + x, window.y + row);
+        dropped += !finite && in_core(window.x + x, window.y + row);
     }
     const auto write = [&](const char *name, int count, const float *in) {
         if (names.count(name) == 0)
@@ -233,6 +225,7 @@ void Packer::pack_sample_row(const Names &names, int64_t sample, int64_t slot, i
     write("samples.descriptor", channels, descriptor);
     write("samples.density", 1, density);
     write("samples.valid", 1, valid);
+    return dropped;
 }
 
 } // namespace pathfold::core

@@ -8,6 +8,7 @@
 #include "embedding.h"
 #include "engine.h"
 #include "frame.h"
+#include "guides.h"
 #include "model.h"
 #include "parallel.h"
 #include "prepare.h"
@@ -21,8 +22,8 @@ using TensorMemory = std::map<std::string, std::vector<float>>;
 /// The network inputs of one tile after another: planar, sanitised.
 class Packer {
 public:
-    Packer(const Frame &frame, const Reads &reads, const Prepared &prepared, const Model &model,
-           Threads &threads, TensorMemory &memory);
+    Packer(const Frame &frame, const Reads &reads, const Guides &guides, const Prepared &prepared,
+           const Model &model, Threads &threads, TensorMemory &memory);
 
     /// The inputs of the graph "embedding" for `count` samples from `first` on. Valid until the next call.
     std::vector<Tensor> samples(const Rect &area, int64_t first, int64_t count);
@@ -33,8 +34,8 @@ public:
     /// The inputs of one branch's graph for the tile at hand. Valid until the next call.
     std::vector<Tensor> inputs(int branch);
 
-    /// What was found and set right so far; each pixel is counted by the tile whose core it is in.
-    const Counts &counts() const { return counts_; }
+    /// How many samples were left out so far; each is counted by the tile whose core it is in.
+    int64_t dropped() const { return dropped_; }
 
 private:
     using Names = std::set<std::string>;
@@ -44,14 +45,15 @@ private:
     void pack_radiance(int branch);
     void pack_guide(const std::string &input, const std::string &buffer);
     void pack_samples(const Names &names, int64_t first, int64_t count);
-    void pack_sample_row(const Names &names, int64_t sample, int64_t slot, int row,
-                         std::vector<float> &scratch, Counts &counts);
+    int64_t pack_sample_row(const Names &names, int64_t sample, int64_t slot, int row,
+                            std::vector<float> &scratch);
     float scalar(const std::string &input, int branch) const;
     bool in_core(int x, int y) const;
     int channels_of(const std::string &input) const;
 
     const Frame &frame_;
     const Reads &reads_;
+    const Guides &guides_;
     const Prepared &prepared_;
     const Model &model_;
     Threads &threads_;
@@ -59,7 +61,7 @@ private:
     int64_t samples_;        ///< per pixel that are packed, at least one that says nothing
     Tile tile_;
     TensorMemory &memory_;
-    Counts counts_;
+    int64_t dropped_ = 0;
 };
 
 } // namespace pathfold::core

@@ -19,7 +19,7 @@ struct Fed {
     Settings settings;
     Threads threads;
     TensorMemory memory;
-    Counts counts;
+    int64_t dropped = 0;
     std::map<std::string, std::vector<float>> inputs; ///< of the first branch
     std::map<std::string, std::vector<int64_t>> shapes;
 
@@ -43,8 +43,9 @@ struct Fed {
     void pack() {
         const Model model(model_folder("samples-5"), "cpu", 1);
         const Reads reads = decide_reads(frame, model.manifest(), settings);
-        const Prepared prepared = prepare(frame, reads, 0.5f, 0.18f, threads);
-        Packer packer(frame, reads, prepared, model, threads, memory);
+        const Guides guides(frame, reads, {}, threads);
+        const Prepared prepared = prepare(frame, reads, guides, 0.5f, 0.18f, threads);
+        Packer packer(frame, reads, guides, prepared, model, threads, memory);
         packer.start(tile, Embedding());
         for (const Tensor &tensor : packer.inputs(0)) {
             size_t size = 1;
@@ -53,7 +54,7 @@ struct Fed {
             inputs[tensor.name].assign(tensor.data, tensor.data + size);
             shapes[tensor.name] = tensor.shape;
         }
-        counts = packer.counts();
+        dropped = packer.dropped();
     }
     /// A value of an input, at the frame's pixel.
     float get(const std::string &name, int channel, int y, int x, int sample = 0) const {
@@ -78,18 +79,19 @@ void for_window(const Check &check) {
 TEST(Pack, PixelsBecomePlanesOfTheWindow) {
     Fed fed;
     fed.set_samples();
-    fed.normal.at(5, 5, 1) = nan;  // in the core
-    fed.normal.at(1, 3, 0) = -nan; // in the window alone: another tile counts it
+    fed.color.at(6, 7, 2) = -0.1f * fed.color.at(6, 7, 1); // out of gamut: networks see 0
+    fed.normal.at(5, 5, 1) = nan;
+    fed.normal.at(1, 3, 0) = -nan;
     fed.pack();
     for_window([&](int y, int x) {
         for (int c = 0; c < 3; ++c) {
-            EXPECT_EQ(fed.get("radiance", c, y, x), fed.color.at(y, x, c));
+            const bool below = y == 6 && x == 7 && c == 2;
+            EXPECT_EQ(fed.get("radiance", c, y, x), below ? 0 : fed.color.at(y, x, c));
             const bool bad = (y == 5 && x == 5 && c == 1) || (y == 1 && x == 3 && c == 0);
             EXPECT_EQ(fed.get("normal", c, y, x), bad ? 0 : std::min(fed.normal.at(y, x, c), 1.0f));
             EXPECT_EQ(fed.get("albedo", c, y, x), 0); // was not given
         }
     });
-    EXPECT_EQ(fed.counts.non_finite, 1);
     EXPECT_EQ(fed.inputs.at("exposure"), std::vector<float>{0.5f});
     for (auto [flag, value] :
          {std::pair("normal", 1.0f), {"albedo", 0.0f}, {"split", 0.0f}, {"variance", 0.0f}})
@@ -114,7 +116,7 @@ TEST(Pack, SamplesThatAreNotFiniteSayNothing) {
                 EXPECT_EQ(fed.get("samples.descriptor", c, y, x, sample),
                           dropped ? (c < 24 ? -100.0f : 0.0f) : fed.descriptor[at * channels + c]);
         });
-    EXPECT_EQ(fed.counts.samples_dropped, 2); // one was marked by the caller
+    EXPECT_EQ(fed.dropped, 2); // one was marked by the caller
     EXPECT_EQ(fed.shapes.at("samples.descriptor"), (std::vector<int64_t>{count, channels, 12, 8}));
 }
 

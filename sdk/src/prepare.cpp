@@ -1,14 +1,14 @@
 #include "prepare.h"
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
-#include <limits>
+#include <map>
 #include <numeric>
 
-#include <oneapi/tbb/combinable.h>
-
 #include "error.h"
+#include "radiance.h"
 
 namespace pathfold::core {
 namespace {
@@ -18,55 +18,10 @@ constexpr double dark_bin = 1e-8; // of the bright level
 constexpr double bright_bin = 16; // likewise: noise may leave most of a bin's light to few pixels
 constexpr size_t outlying = 64;   // one in so many pixels of a bin, or bins, may be an outlier
 
-/// Largest radiance: 1e30 after exposure, and small enough for a sum of kernel taps in float32.
-float radiance_cap(float exposure) { return float(std::min(1e30 / double(exposure), 1e32)); }
+constexpr double brightest = 1e30;    // and small enough for a sum of kernel taps in float32
+constexpr double darkest_layer = 1e6; // below 0, after exposure: no difference of lights is so large
 
 double luminance(float r, float g, float b) { return 0.212671 * r + 0.715160 * g + 0.072169 * b; }
-
-using RowCounts = oneapi::tbb::combinable<Counts>;
-
-Counts total(RowCounts &counts) {
-    Counts sum;
-    counts.combine_each([&](const Counts &part) { sum += part; });
-    return sum;
-}
-
-/// Reads a view into planes, row by row, through `clean(pixels, y, counts)`.
-template <typename Clean>
-Planes load(const ImageView &view, Threads &threads, Counts &counts, const Clean &clean) {
-    Planes planes(view.channels(), view.height(), view.width());
-    RowCounts row_counts;
-    for_rows(threads, view.height(), [&](int y) {
-        const int channels = view.channels(), width = view.width();
-        std::vector<float> pixels(size_t(width) * size_t(channels));
-        view.load_row(0, y, 0, width, pixels.data());
-        clean(pixels.data(), y, row_counts.local());
-        for (int c = 0; c < channels; ++c)
-            for (int x = 0; x < width; ++x)
-                planes.row(c, y)[x] = pixels[size_t(x) * channels + c];
-    });
-    counts += total(row_counts);
-    return planes;
-}
-
-/// Interleaved pixels of one row, in place.
-void sanitise_radiance(float *pixels, int count, int channels, bool keeps_sign, uint8_t *valid,
-                       Counts &counts) {
-    for (int i = 0; i < count; ++i) {
-        float *pixel = pixels + size_t(i) * channels;
-        if (!std::all_of(pixel, pixel + channels, [](float value) { return std::isfinite(value); })) {
-            std::fill_n(pixel, channels, 0.0f);
-            valid[i] = 0;
-            ++counts.non_finite;
-            continue;
-        }
-        bool negative = false;
-        for (int c = 0; c < channels && !keeps_sign; ++c)
-            if (pixel[c] < 0)
-                pixel[c] = 0, negative = true;
-        counts.negative += negative;
-    }
-}
 
 /// Adds b to a, pixel by pixel.
 void add(Planes &a, const Planes &b, Threads &threads) {
@@ -77,18 +32,26 @@ void add(Planes &a, const Planes &b, Threads &threads) {
     });
 }
 
-void cap(Planes &planes, float most, Threads &threads, Counts &counts) {
-    RowCounts row_counts;
+/// Brings values up to `most`; what lies below `least` becomes 0 where that is not as far as `most`.
+void cap(Signal &signal, float least, float most, Threads &threads, Mended &mended) {
+    Planes &planes = signal.values;
+    std::atomic<int64_t> capped{0}, negative{0};
     for_rows(threads, planes.height(), [&](int y) {
-        for (int x = 0; x < planes.width(); ++x) {
-            bool capped = false;
+        bool usual = true;
+        for (int c = 0; c < planes.channels(); ++c)
+            usual = usual && all_within(planes.row(c, y), size_t(planes.width()), least, most);
+        for (int x = 0; x < planes.width() && !usual; ++x) {
+            bool above = false, below = false;
             for (int c = 0; c < planes.channels(); ++c)
-                if (float &value = planes.row(c, y)[x]; std::abs(value) > most)
-                    value = std::copysign(most, value), capped = true;
-            row_counts.local().capped += capped;
+                if (float &value = planes.row(c, y)[x]; value > most)
+                    value = most, above = true;
+                else if (value < least)
+                    value = 0, below = true;
+            capped += above, negative += below;
         }
     });
-    counts += total(row_counts);
+    tally(mended, signal.name, fault::capped, capped);
+    tally(mended, signal.name, fault::negative, negative);
 }
 
 /// What the exposure wants to know of 16 x 16 pixels: their mean luminance, with and without the brightest
@@ -126,58 +89,91 @@ double bright_level(const std::vector<Bin> &bins) {
 /// Keeps a factor a normal float, whatever the image.
 float within_floats(double factor) { return float(std::clamp(factor, 1e-37, 1e37)); }
 
-/// exp(-mean(ln depth)) over finite depths > 0; 1 where there is none.
-float find_depth_scale(const ImageView &depth, Threads &threads) {
-    struct Sum {
-        double logs = 0;
-        int64_t count = 0;
-    };
-    std::vector<Sum> sums(size_t(depth.height()));
-    for_rows(threads, depth.height(), [&](int y) {
-        std::vector<float> row(size_t(depth.width()));
-        depth.load_row(0, y, 0, depth.width(), row.data());
-        for (float value : row)
-            if (value > 0 && std::isfinite(value))
-                sums[size_t(y)].logs += std::log(double(value)), ++sums[size_t(y)].count;
-    });
-    Sum all;
-    for (const Sum &sum : sums)
-        all.logs += sum.logs, all.count += sum.count;
-    return all.count > 0 ? within_floats(std::exp(-all.logs / double(all.count))) : 1.0f;
-}
-
 /// What the branch divides radiance by, at every pixel.
-Planes load_factor(const Frame &frame, const ActiveBranch &active, Threads &threads) {
+Planes load_factor(const Guides &guides, const ActiveBranch &active, int height, int width,
+                   Threads &threads) {
     if (active.factor.empty())
         return {};
-    Counts counted_by_packer;
-    const ImageView &view = frame.input(active.factor);
-    return load(view, threads, counted_by_packer, [&](float *pixels, int, Counts &) {
-        sanitise_guide(pixels, view.width(), view.channels(), guide_range(active.factor));
-        for (int i = 0; i < view.width() * view.channels(); ++i)
-            pixels[i] += active.branch->epsilon;
+    Planes factor(3, height, width);
+    for_rows(threads, height, [&](int y) {
+        std::vector<float> pixels(size_t(width) * 3);
+        guides.load_row(active.factor, y, 0, width, pixels.data());
+        for (int c = 0; c < 3; ++c)
+            for (int x = 0; x < width; ++x)
+                factor.row(c, y)[x] = pixels[size_t(x) * 3 + c] + active.branch->epsilon;
     });
+    return factor;
 }
 
-void add_branches(const Frame &frame, const Reads &reads, Prepared &prepared, Threads &threads) {
-    const auto load_buffer = [&](const std::string &name) {
-        return load_radiance(frame.input(name), false, prepared.valid, threads, prepared.counts);
-    };
+/// Where a split frame has a color too, its parts must add up to it. A color that is 0 everywhere says
+/// nothing.
+void compare_parts(const Frame &frame, std::map<std::string, Planes> &parts, Prepared &prepared,
+                   Threads &threads) {
+    if (!frame.has("color") || parts.size() < 2)
+        return;
+    const Planes color = load_radiance(frame.input("color"), threads);
+    const float *values = color.row(0, 0);
+    const size_t count = size_t(color.channels()) * color.height() * color.width();
+    if (all_within(values, count, 0, 0)) {
+        prepared.notes.push_back("color is 0 in every pixel: diffuse + specular is taken for it");
+        return;
+    }
+    if (const int64_t pixels =
+            make_parts_of(color, parts.at("diffuse"), parts.at("specular"), threads, prepared.mended))
+        prepared.notes.push_back(text("diffuse + specular is not color in ", pixels,
+                                      " pixels: specular was taken for what diffuse leaves of color; give "
+                                      "parts that add up, or color alone"));
+}
+
+void add_branches(const Frame &frame, const Reads &reads, const Guides &guides, Prepared &prepared,
+                  Threads &threads) {
+    std::map<std::string, Planes> parts;
+    for (const ActiveBranch &active : reads.branches)
+        for (const std::string &part : active.parts)
+            parts.emplace(part, load_radiance(frame.input(part), threads));
+    if (reads.split)
+        compare_parts(frame, parts, prepared, threads);
+    for (auto &[name, radiance] : parts)
+        sanitise_radiance(radiance, name, prepared.valid, threads, prepared.mended);
     for (const ActiveBranch &active : reads.branches) {
         const int index = int(prepared.factors.size());
-        prepared.factors.push_back(load_factor(frame, active, threads));
-        Planes radiance = load_buffer(active.parts[0]);
+        prepared.factors.push_back(load_factor(guides, active, frame.height(), frame.width(), threads));
+        Planes radiance = std::move(parts.at(active.parts[0]));
         for (size_t i = 1; i < active.parts.size(); ++i)
-            add(radiance, load_buffer(active.parts[i]), threads);
-        prepared.signals.push_back(
-            {active.radiance, index, !active.factor.empty(), false, std::move(radiance)});
+            add(radiance, parts.at(active.parts[i]), threads);
+        prepared.signals.push_back({active.radiance, index, !active.factor.empty(), std::move(radiance)});
     }
 }
 
-/// Alpha and layers ride along with the beauty: what is wrong with them masks nothing.
-Planes load_rider(const ImageView &view, bool keeps_sign, Prepared &prepared, Threads &threads) {
-    std::vector<uint8_t> unused(prepared.valid.size());
-    return load_radiance(view, keeps_sign, unused, threads, prepared.counts);
+/// Where the parts are not filtered apart after all, what is asked of them rides along.
+void add_parts(const Frame &frame, const Reads &reads, Prepared &prepared, Threads &threads) {
+    for (const char *part : {"diffuse", "specular"}) {
+        if (reads.split || frame.outputs().count(part) == 0)
+            continue;
+        std::vector<uint8_t> unused(prepared.valid.size());
+        Mended counted_with_color;
+        Planes values = load_radiance(frame.input(part), threads);
+        sanitise_radiance(values, part, unused, threads, counted_with_color);
+        prepared.signals.push_back({part, 0, prepared.signals[0].demodulated, std::move(values)});
+    }
+}
+
+Planes load_alpha(const Guides &guides, int height, int width, Threads &threads) {
+    Planes alpha(1, height, width);
+    for_rows(threads, height, [&](int y) { guides.load_row("alpha", y, 0, width, alpha.row(0, y)); });
+    return alpha;
+}
+
+/// Layers ride along with the beauty: what is wrong with them masks nothing.
+Planes load_layer(const Layer &layer, const std::string &part, Prepared &prepared, Threads &threads) {
+    Planes values = load_radiance(layer.parts.at(part), threads);
+    const float *first = values.row(0, 0);
+    const int64_t unknown =
+        std::count_if(first, first + prepared.valid.size(), [](float v) { return std::isnan(v); });
+    tally(prepared.mended, layer.name, fault::rebuilt, unknown);
+    if (unknown > 0)
+        fill_unknown(values, Missing::mean, 0, threads);
+    return values;
 }
 
 void add_layers(const Frame &frame, const Reads &reads, Prepared &prepared, Threads &threads) {
@@ -185,17 +181,17 @@ void add_layers(const Frame &frame, const Reads &reads, Prepared &prepared, Thre
         // the beauty's own factor, so that layers add up to it
         const auto add_layer = [&](size_t branch, Planes values) {
             prepared.signals.push_back(
-                {layer.name, int(branch), prepared.signals[branch].demodulated, true, std::move(values)});
+                {layer.name, int(branch), prepared.signals[branch].demodulated, std::move(values)});
         };
         if (reads.split) {
             for (size_t i = 0; i < reads.branches.size(); ++i)
-                add_layer(i, load_rider(layer.parts.at(reads.branches[i].radiance), true, prepared, threads));
+                add_layer(i, load_layer(layer, reads.branches[i].radiance, prepared, threads));
             continue;
         }
         auto part = layer.parts.begin();
-        Planes values = load_rider(part->second, true, prepared, threads);
+        Planes values = load_layer(layer, part->first, prepared, threads);
         if (++part != layer.parts.end())
-            add(values, load_rider(part->second, true, prepared, threads), threads);
+            add(values, load_layer(layer, part->first, prepared, threads), threads);
         add_layer(0, std::move(values));
     }
 }
@@ -214,38 +210,7 @@ void clear_masked(Prepared &prepared, Threads &threads) {
 
 } // namespace
 
-Counts &Counts::operator+=(const Counts &other) {
-    non_finite += other.non_finite;
-    negative += other.negative;
-    capped += other.capped;
-    samples_dropped += other.samples_dropped;
-    repaired += other.repaired;
-    return *this;
-}
-
-Counts sanitise_guide(float *pixels, int count, int channels, Range range) {
-    Counts counts;
-    for (int i = 0; i < count; ++i) {
-        bool non_finite = false, negative = false;
-        for (float *value = pixels + size_t(i) * channels, *end = value + channels; value != end; ++value) {
-            if (!std::isfinite(*value))
-                *value = 0, non_finite = true;
-            negative = negative || (*value < 0 && range.least == 0);
-            *value = std::clamp(*value, range.least, range.most);
-        }
-        counts.non_finite += non_finite;
-        counts.negative += negative;
-    }
-    return counts;
-}
-
-Planes load_radiance(const ImageView &view, bool keeps_sign, std::vector<uint8_t> &valid, Threads &threads,
-                     Counts &counts) {
-    return load(view, threads, counts, [&](float *pixels, int y, Counts &row_counts) {
-        sanitise_radiance(pixels, view.width(), view.channels(), keeps_sign,
-                          valid.data() + size_t(y) * view.width(), row_counts);
-    });
-}
+float brightest_shown(float exposure) { return float(brightest / double(exposure)); }
 
 float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<uint8_t> &valid, float key,
                     Threads &threads) {
@@ -262,7 +227,9 @@ float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<
                     if (valid[size_t(y) * width + x] != 0) {
                         double sum = 0;
                         for (const Planes *part : parts)
-                            sum += luminance(part->row(0, y)[x], part->row(1, y)[x], part->row(2, y)[x]);
+                            sum += luminance(std::max(part->row(0, y)[x], 0.0f),
+                                             std::max(part->row(1, y)[x], 0.0f),
+                                             std::max(part->row(2, y)[x], 0.0f));
                         pixels.push_back(sum);
                     }
             bins[size_t(j) * across + i] = summarise(pixels);
@@ -279,18 +246,22 @@ float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<
     return within_floats(key / std::exp2(logs / double(count)));
 }
 
-Prepared prepare(const Frame &frame, const Reads &reads, float exposure, float exposure_key,
-                 Threads &threads) {
+Prepared prepare(const Frame &frame, const Reads &reads, const Guides &guides, float exposure,
+                 float exposure_key, Threads &threads) {
     Prepared prepared;
+    prepared.mended = guides.mended();
+    prepared.notes = guides.notes();
+    prepared.depth_scale = guides.depth_scale();
     prepared.valid.assign(size_t(frame.width()) * size_t(frame.height()), 1);
     const auto start = std::chrono::steady_clock::now();
-    add_branches(frame, reads, prepared, threads);
+    add_branches(frame, reads, guides, prepared, threads);
     if (reads.has("alpha")) {
         const auto unsplit = std::find_if(reads.branches.begin(), reads.branches.end(),
                                           [](const ActiveBranch &active) { return active.branch->unsplit; });
-        prepared.signals.push_back({"alpha", int(unsplit - reads.branches.begin()), false, false,
-                                    load_rider(frame.input("alpha"), false, prepared, threads)});
+        prepared.signals.push_back({"alpha", int(unsplit - reads.branches.begin()), false,
+                                    load_alpha(guides, frame.height(), frame.width(), threads)});
     }
+    add_parts(frame, reads, prepared, threads);
     add_layers(frame, reads, prepared, threads);
     prepared.load_ms =
         std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
@@ -305,10 +276,12 @@ Prepared prepare(const Frame &frame, const Reads &reads, float exposure, float e
             parts.push_back(&prepared.signals[i].values);
         prepared.exposure = auto_exposure(parts, prepared.valid, exposure_key, threads);
     }
-    for (Signal &signal : prepared.signals)
-        cap(signal.values, radiance_cap(prepared.exposure), threads, prepared.counts);
-    if (reads.has("depth"))
-        prepared.depth_scale = find_depth_scale(frame.input("depth"), threads);
+    const float most = float(std::min(brightest / std::min(double(prepared.exposure), 1.0), 1e32));
+    const float layers_least = float(std::max(-darkest_layer / double(prepared.exposure), -double(most)));
+    for (size_t i = 0; i < prepared.signals.size(); ++i) {
+        const bool layer = i >= reads.branches.size();
+        cap(prepared.signals[i], layer ? layers_least : -most, most, threads, prepared.mended);
+    }
     return prepared;
 }
 

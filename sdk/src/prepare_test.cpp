@@ -14,7 +14,9 @@ constexpr float infinity = std::numeric_limits<float>::infinity();
 /// What that model makes of the frame.
 Prepared run(const Frame &frame, const std::string &model, float exposure, Threads &threads) {
     const Manifest manifest = Manifest::parse(read_text(model_folder(model) + "/manifest.json"));
-    return prepare(frame, decide_reads(frame, manifest, {}), exposure, manifest.exposure_key, threads);
+    const Reads reads = decide_reads(frame, manifest, {});
+    return prepare(frame, reads, Guides(frame, reads, manifest.requires_, threads), exposure,
+                   manifest.exposure_key, threads);
 }
 
 float exposure_of(const Pixels &color) {
@@ -28,6 +30,10 @@ struct SplitFrame {
     Pixels diffuse = noise(20, 30, 3, 1), specular = noise(20, 30, 3, 2), albedo = noise(20, 30, 3, 3);
     Frame frame;
 
+    SplitFrame() {
+        for (float &value : albedo.values)
+            value = std::min(value, 1.0f);
+    }
     void set() {
         const pathfold_image images[] = {diffuse.image(), specular.image(), albedo.image()};
         frame.set_input("diffuse", &images[0]);
@@ -115,7 +121,8 @@ TEST(Prepare, MasksAPixelInEveryPart) {
             for (int c = 0; c < 3; ++c)
                 EXPECT_EQ(signal.values.row(c, y)[x], 0.0f);
     EXPECT_EQ(prepared.valid[5 * 30 + 6] + prepared.valid[7 * 30 + 8], 0);
-    EXPECT_EQ(prepared.counts.non_finite, 2);
+    const Mended mended = {{"diffuse", {{fault::rebuilt, 1}}}, {"specular", {{fault::rebuilt, 1}}}};
+    EXPECT_EQ(prepared.mended, mended);
 }
 
 TEST(Prepare, NegativeRadianceAndCaps) {
@@ -126,9 +133,9 @@ TEST(Prepare, NegativeRadianceAndCaps) {
     Threads threads;
     const Prepared prepared = run(split.frame, "split-5", 10, threads);
     EXPECT_EQ(prepared.signals[0].values.row(0, 1)[1], 0.0f);
-    EXPECT_FLOAT_EQ(prepared.signals[1].values.row(2, 2)[2], 1e29f);
-    EXPECT_EQ(prepared.counts.negative, 1);
-    EXPECT_EQ(prepared.counts.capped, 1);
+    EXPECT_FLOAT_EQ(prepared.signals[1].values.row(2, 2)[2], 1e30f);
+    const Mended mended = {{"diffuse", {{fault::negative, 1}}}, {"specular", {{fault::capped, 1}}}};
+    EXPECT_EQ(prepared.mended, mended);
     EXPECT_EQ(prepared.exposure, 10.0f);
 }
 
@@ -170,18 +177,6 @@ TEST(Prepare, RemodulationStaysAFloat) {
     const Planes &factor = prepared.factors[0];
     const float brightest = prepared.signals[0].values.row(1, 5)[6] / factor.row(1, 5)[6];
     EXPECT_TRUE(std::isfinite(brightest * factor.row(0, 3)[4]));
-}
-
-TEST(Prepare, GuidesAreBroughtIntoTheirRange) {
-    const float given[] = {nan, -infinity, -3, -0.5f, 0.25f, 3e38f};
-    const auto sanitised = [&](const char *buffer) {
-        std::vector<float> values(std::begin(given), std::end(given));
-        sanitise_guide(values.data(), int(values.size()), 1, guide_range(buffer));
-        return values;
-    };
-    EXPECT_EQ(sanitised("normal"), (std::vector<float>{0, 0, -1, -0.5f, 0.25f, 1}));
-    EXPECT_EQ(sanitised("albedo"), (std::vector<float>{0, 0, 0, 0, 0.25f, 1e4f}));
-    EXPECT_EQ(sanitised("depth"), (std::vector<float>{0, 0, 0, 0, 0.25f, 3e38f}));
 }
 
 TEST(Prepare, AnUnsplitLayerMakesTheFrameUnsplit) {

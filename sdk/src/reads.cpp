@@ -71,6 +71,8 @@ std::set<std::string> find_wanted(const Manifest &manifest, const Reads &reads, 
         if (!active.factor.empty())
             wanted.insert(active.factor);
     }
+    if (reads.split)
+        wanted.insert("color"); // which its parts are compared with
     return wanted;
 }
 
@@ -100,6 +102,19 @@ Reads decide_reads(const Frame &frame, const Manifest &manifest, const Settings 
             reads.unread.push_back(name);
     }
     return reads;
+}
+
+Reads without(const Frame &frame, const std::set<std::string> &silent, const Reads &reads,
+              const Manifest &manifest, const Settings &settings) {
+    if (silent.empty())
+        return reads;
+    Frame rest = frame;
+    for (const std::string &buffer : silent)
+        rest.set_input(buffer, nullptr);
+    Reads found = decide_reads(rest, manifest, settings);
+    found.unread.insert(found.unread.end(), silent.begin(), silent.end());
+    std::sort(found.unread.begin(), found.unread.end());
+    return found;
 }
 
 void check_reads(const Frame &frame, const Manifest &manifest, const Reads &reads) {

@@ -36,6 +36,10 @@ struct Reads {
 /// Works on frames that are not complete yet.
 Reads decide_reads(const Frame &frame, const Manifest &manifest, const Settings &settings);
 
+/// The same for the frame without buffers that turned out to say nothing; they count as unread.
+Reads without(const Frame &frame, const std::set<std::string> &silent, const Reads &reads,
+              const Manifest &manifest, const Settings &settings);
+
 /// Throws invalid-argument unless the model's required buffers are there, the outputs can be had, and none
 /// lies over an input that is still to be read.
 void check_reads(const Frame &frame, const Manifest &manifest, const Reads &reads);

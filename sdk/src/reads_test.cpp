@@ -76,6 +76,20 @@ TEST(Reads, WhatAModelDoesNotReadIsUnread) {
     EXPECT_EQ(decide_reads(given.frame, manifest_of("split-5"), {}).unread, Names{});
 }
 
+TEST(Reads, WhatSaysNothingIsAsIfNotGiven) {
+    const Manifest manifest = manifest_of("split-5");
+    Given given({"color", "diffuse", "specular", "diffuse.albedo", "normal", "diffuse.variance"});
+    const Reads all = decide_reads(given.frame, manifest, {});
+    EXPECT_TRUE(all.split);
+    Reads reads = without(given.frame, {"normal"}, all, manifest, {});
+    EXPECT_TRUE(reads.split);
+    EXPECT_FALSE(reads.has("normal"));
+    EXPECT_EQ(reads.unread, Names{"normal"});
+    reads = without(given.frame, {"diffuse.albedo"}, all, manifest, {}); // which the split takes
+    EXPECT_FALSE(reads.split);
+    EXPECT_EQ(reads.unread, (Names{"diffuse", "diffuse.albedo", "diffuse.variance", "specular"}));
+}
+
 TEST(Reads, ASplitFrameIsReadInParts) {
     const Manifest manifest = manifest_of("split-5");
     Given given({"color", "variance", "diffuse", "diffuse.variance"});
@@ -87,8 +101,9 @@ TEST(Reads, ASplitFrameIsReadInParts) {
         given.add(name);
     reads = decide_reads(given.frame, manifest, {});
     EXPECT_TRUE(reads.split);
-    EXPECT_EQ(names_of(reads.buffers), (Names{"diffuse", "diffuse.albedo", "diffuse.variance", "specular"}));
-    EXPECT_EQ(reads.unread, (Names{"color", "variance"}));
+    EXPECT_EQ(names_of(reads.buffers),
+              (Names{"color", "diffuse", "diffuse.albedo", "diffuse.variance", "specular"}));
+    EXPECT_EQ(reads.unread, Names{"variance"}); // color is what the parts are compared with
     ASSERT_EQ(reads.branches.size(), 2u);
     EXPECT_EQ(reads.branches[0].factor, "diffuse.albedo");
     EXPECT_EQ(reads.branches[1].factor, "");

@@ -113,8 +113,8 @@ Json describe_left_out(const Report &report, const Frame &frame, const Reads &re
 }
 
 Json describe_notes(const Frame &frame, const Reads &reads, const Manifest &manifest,
-                    const Settings &settings) {
-    Json notes = Json::array();
+                    const Settings &settings, const Prepared &prepared, const Plan &plan) {
+    Json notes = prepared.notes;
     if (settings.leaves_out("paths") && !reads.without_paths && frame.has("samples.descriptor") &&
         manifest.without_paths == 0)
         notes.push_back("paths are not left out: the model's manifest does not say from how many samples per "
@@ -125,6 +125,10 @@ Json describe_notes(const Frame &frame, const Reads &reads, const Manifest &mani
     if (samples > 0 && (samples < manifest.min_samples || samples > manifest.max_samples))
         notes.push_back(text(samples, " samples per pixel; the model was trained on ", manifest.min_samples,
                              " to ", manifest.max_samples));
+    const int64_t held = plan.window_bytes >> 20;
+    if (settings.tile > 0 && settings.memory_mb > 0 && held > settings.memory_mb)
+        notes.push_back(text("tile is ", settings.tile, ", whose window holds ", held, " MB: memory_mb, ",
+                             settings.memory_mb, ", bounds what is chosen; leave tile out"));
     return notes;
 }
 
@@ -133,8 +137,8 @@ Json describe_notes(const Frame &frame, const Reads &reads, const Manifest &mani
 std::string Report::json(const Frame &frame, const Reads &reads, const Model &model, const Settings &settings,
                          const Prepared &prepared, const Plan &plan) const {
     const Manifest &manifest = model.manifest();
-    Counts all = counts;
-    all += prepared.counts;
+    Mended mended = prepared.mended;
+    tally(mended, "samples", fault::dropped, samples_dropped);
     Json branches = Json::array();
     for (size_t i = 0; i < done.size(); ++i)
         if (done[i].tiles > 0)
@@ -151,15 +155,11 @@ std::string Report::json(const Frame &frame, const Reads &reads, const Model &mo
         {"exposure", prepared.exposure},
         {"depth_scale", prepared.depth_scale},
         {"inputs", describe_inputs(frame, manifest, reads)},
-        {"sanitised",
-         {{"non_finite", all.non_finite},
-          {"negative", all.negative},
-          {"capped", all.capped},
-          {"samples_dropped", all.samples_dropped},
-          {"repaired", all.repaired}}},
+        {"sanitised", mended},
+        {"repaired", repaired},
         {"branches", branches},
         {"left_out", describe_left_out(*this, frame, reads, manifest, prepared, plan)},
-        {"notes", describe_notes(frame, reads, manifest, settings)},
+        {"notes", describe_notes(frame, reads, manifest, settings, prepared, plan)},
         {"tiles", plan.tiles.size()},
         {"tile", {plan.tiles[0].core.width, plan.tiles[0].core.height}},
         {"ms",

@@ -49,7 +49,8 @@ struct Work {
 /// What one run used, left out and spent.
 struct Report {
     Times times;
-    Counts counts;                                     ///< beside what preparing the frame counted
+    int64_t repaired = 0; ///< values without a finite kernel, which stay noisy
+    int64_t samples_dropped = 0;
     std::vector<Work> done;                            ///< per branch
     std::vector<std::map<std::string, Work>> left_out; ///< per branch: not done, by what it was left out for
 

@@ -48,9 +48,10 @@ Json made_up(const Settings &settings, const Fill &fill) {
     const Model model(model_folder("single-3"), "cpu", 1);
     const Reads reads = decide_reads(frame, model.manifest(), settings);
     Prepared prepared;
-    prepared.counts.negative = 2;
+    prepared.mended = {{"normal", {{fault::none, 2}}}};
     Plan plan;
     plan.tiles = {{{0, 0, 8, 4}, {0, 0, 8, 8}}, {{0, 4, 8, 4}, {0, 0, 8, 8}}};
+    plan.window_bytes = int64_t(3) << 20;
     Report report(reads.branches.size());
     fill(report, plan.tiles);
     return Json::parse(report.json(frame, reads, model, settings, prepared, plan));
@@ -61,7 +62,7 @@ Json made_up(const Settings &settings, const Fill &fill) {
 TEST(Report, SavedTimeIsByWhatRan) {
     const Json report = made_up({}, [](Report &report, const std::vector<Tile> &tiles) {
         report.times.pack = 1, report.times.network = 5, report.times.reconstruct = 2, report.times.write = 9;
-        report.counts.negative = 3;
+        report.repaired = 3, report.samples_dropped = 4;
         report.done[0].add(tiles[0]);
         report.left_out[0]["branches"].add(tiles[1]);
     });
@@ -71,10 +72,21 @@ TEST(Report, SavedTimeIsByWhatRan) {
     EXPECT_EQ(report["left_out"], Json::array({line}));
     EXPECT_EQ(report["branches"], Json({"color"}));
     EXPECT_EQ(report["ms"]["total"], 17.0);
-    EXPECT_EQ(report["sanitised"]["negative"], 5);
+    const Json sanitised = {{"normal", {{fault::none, 2}}}, {"samples", {{fault::dropped, 4}}}};
+    EXPECT_EQ(report["sanitised"], sanitised);
+    EXPECT_EQ(report["repaired"], 3);
     EXPECT_EQ(report["tile"], Json({8, 4}));
     EXPECT_EQ(report["inputs"]["used"], Json({"color"}));
     EXPECT_EQ(report["inputs"]["unused"], Json({"normal"}));
+}
+
+TEST(Report, ATileThatHoldsMoreThanMemoryIsTold) {
+    const auto nothing = [](Report &, const std::vector<Tile> &) {};
+    for (auto [tile, memory, told] : {std::tuple(4, 2, 1u), {4, 3, 0u}, {4, 0, 0u}, {0, 2, 0u}}) {
+        Settings settings;
+        settings.tile = tile, settings.memory_mb = memory;
+        EXPECT_EQ(made_up(settings, nothing)["notes"].size(), told) << tile << " " << memory;
+    }
 }
 
 TEST(Report, WhereNothingRanNothingIsKnown) {
@@ -130,7 +142,7 @@ TEST(Report, InputsThatAreNotReadDoNotMatter) {
     const Pixels alone = scene.denoise("single-3");
     scene.buffers.emplace("normal", Pixels(32, 32, 3, nan));
     EXPECT_EQ(scene.denoise("single-3").values, alone.values);
-    EXPECT_EQ(scene.report["sanitised"]["non_finite"], 0);
+    EXPECT_EQ(scene.report["sanitised"], Json::object());
     EXPECT_EQ(scene.report["inputs"]["unused"], Json({"normal"}));
 }
 

@@ -41,6 +41,9 @@ struct Scene {
         scene.buffers.emplace("alpha", noise(height, width, 1, ++seed));
         for (float &value : scene.buffers.at("normal").values)
             value = std::min(value - 1, 1.0f);
+        for (const char *name : {"diffuse.albedo", "albedo", "alpha"})
+            for (float &value : scene.buffers.at(name).values)
+                value = std::min(value, 1.0f);
         scene.settings.exposure = 0.5f;
         return scene;
     }

@@ -92,10 +92,10 @@ def frame(height: int = HEIGHT, width: int = WIDTH, samples: int = SAMPLES, seed
 
 
 def with_color(buffers: Buffers) -> Buffers:
-    """`color` as the sum of the split, 0 where that is beyond float32 (a split frame's color is not read)."""
+    """`color` as the sum of the split, the largest float where that is beyond float32."""
     with np.errstate(over="ignore", invalid="ignore"):
         total = buffers["diffuse"].astype(np.float32) + buffers["specular"].astype(np.float32)
-    return buffers | {"color": np.where(np.isfinite(total), total, np.float32(0))}
+    return buffers | {"color": np.where(np.isfinite(total), total, np.finfo(np.float32).max)}
 
 
 def scaled(buffers: Buffers, scale: float) -> Buffers:

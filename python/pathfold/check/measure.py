@@ -26,16 +26,16 @@ def tolerance(name: str, precision: str = "fp32") -> float:
 
 
 def relative_error(
-    image: NDArray[Any], reference: NDArray[Any], largest: float = 0.0
+    image: NDArray[Any], reference: NDArray[Any], largest: float = 0.0, deepest: float = 0.0
 ) -> tuple[float, tuple[int, int] | None]:
     """The largest relative error of any value, and its pixel (y, x); None where all are equal.
 
     Each value is measured against its own reference: a weighted mean of values >= 0 amplifies no rounding. `largest` is
-    the brightest that any tap may hold: float32 weights below 1e-38 are 0, so 1e-30 of it is nothing. Infinite where a
-    value is not finite.
+    the brightest that any tap may hold: float32 weights below 1e-38 are 0, so 1e-30 of it is nothing. `deepest` is how
+    far below 0 one may lie: what cancels leaves its rounding. Infinite where a value is not finite.
     """
     right = reference.astype(np.float64)
-    floor = max(LEAST_SUM, 1e-30 * largest)
+    floor = max(LEAST_SUM, 1e-30 * largest, deepest)
     with np.errstate(invalid="ignore"):
         error = np.abs(image.astype(np.float64) - right) / np.maximum(np.abs(right), floor)
     error = np.where(np.isfinite(error), error, np.inf).max(-1)

@@ -23,33 +23,33 @@ class Row:
     error: float | None = None
     allowed: float | None = None
     worst: tuple[int, int] | None = None  # pixel y, x
-    finite: bool = True  # and >= 0
+    finite: bool = True
     bounded: bool = True  # before remodulation, between the least and the largest of the window
     reason: str = ""
 
     def fail(self, reason: str) -> None:
         self.reason = f"{self.reason}; {reason}" if self.reason else reason
 
-    def compare(self, image: Any, right: Any, largest: float = 0.0) -> None:
-        """Keep the largest relative error of several images; `largest` as in relative_error."""
-        error, worst = relative_error(image, right, largest)
+    def compare(self, image: Any, right: Any, largest: float = 0.0, deepest: float = 0.0) -> None:
+        """Keep the largest relative error of several images; `largest` and `deepest` as in relative_error."""
+        error, worst = relative_error(image, right, largest, deepest)
         if self.error is None or error > self.error:
             self.error, self.worst = error, worst
 
     def inspect(self, result: Result, frame: Prepared, manifest: dict[str, Any]) -> None:
-        """Whether a result is finite, >= 0, bounded by its window and made without falling back to noisy pixels."""
+        """Whether a result is finite, bounded by its window and made without falling back to noisy pixels."""
         images = [image for image in (result.color, result.diffuse, result.specular) if image is not None]
-        if not all(bool((np.isfinite(image) & (image >= 0)).all()) for image in images):
+        if not all(bool(np.isfinite(image).all()) for image in images):
             self.finite = False
         if not bounded(result, frame, manifest):
             self.bounded = False
-        if repaired := result.report["sanitised"]["repaired"]:
+        if repaired := result.report["repaired"]:
             self.fail(f"the network gave {repaired} values no finite kernel")
 
     def judged(self) -> Row:
         """The row, with the reasons that follow from its figures."""
         if not self.finite:
-            self.fail("not finite or below 0")
+            self.fail("not finite")
         if not self.bounded:
             self.fail("outside of its window's least and largest value")
         if self.error is not None and self.allowed is not None and not self.error <= self.allowed:
@@ -62,16 +62,18 @@ def bounded(result: Result, frame: Prepared, manifest: dict[str, Any]) -> bool:
 
     Where the factor is cleaned, what divides and multiplies lies within a window of its own in turn.
     """
-    split, slack = len(frame.branches) > 1, tolerance("bounded")
+    split = len(frame.branches) > 1
     for branch in frame.branches:
         image = getattr(result, branch.buffer) if split else result.color
         least, most = factor_limits(branch, frame)
         radius = window_radius(manifest)
-        low, _ = window_limits(branch.radiance / most, frame.valid, radius)
-        _, high = window_limits(branch.radiance / least, frame.valid, radius)
+        divided = branch.radiance / least, branch.radiance / most  # below 0 the smaller factor takes further down
+        low, _ = window_limits(np.minimum(*divided), frame.valid, radius)
+        _, high = window_limits(np.maximum(*divided), frame.valid, radius)
+        slack = tolerance("bounded") * np.maximum(np.abs(low), np.abs(high)) + SMALLEST
         with np.errstate(invalid="ignore"):
-            above = image / least >= low * (1 - slack) - SMALLEST
-            if not (above & (image / most <= high * (1 + slack) + SMALLEST)).all():
+            above = np.maximum(image / least, image / most) >= low - slack
+            if not (above & (np.minimum(image / least, image / most) <= high + slack)).all():
                 return False
     return True
 

@@ -1,6 +1,7 @@
 """What the SDK does to a frame before and after the network, written again in NumPy, in float64: the checks' measure.
 
-The rules are those of docs/architecture.md ("The way of a frame"); sdk/src/prepare.cpp and pack.cpp do the same.
+The rules are those of docs/architecture.md ("The way of a frame"); sdk/src/prepare.cpp, radiance.cpp and pack.cpp
+do the same.
 """
 
 from __future__ import annotations
@@ -14,13 +15,16 @@ from numpy.typing import NDArray
 
 from pathfold._core import DEAD_LOG
 from pathfold.check.cases import LAYOUT, LOGS, Buffers
+from pathfold.check.guides import MEANINGS, clean, says_nothing
 
 Array = NDArray[np.float64]
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
 BIN = 16  # pixels
 DARK_BIN, BRIGHT_BIN = 1e-8, 16.0  # of the bright level
 OUTLYING = 64  # one in so many pixels of a bin, or bins, may be an outlier
-RANGES = {"normal": (-1.0, 1.0), "albedo": (0.0, 1e4), "diffuse.albedo": (0.0, 1e4)}  # else >= 0
+BRIGHTEST = 1e30  # radiance that a network is shown, after exposure
+OUT_OF_GAMUT = 2.0  # times the largest component: what lies further below 0 is no colour
+ROUNDING = 1 / 256  # of the magnitudes of parts that add up
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class Branch:
 
     graph: str
     buffer: str  # "diffuse", "specular" or "color"
-    radiance: Array  # H x W x 3, 0 where masked, capped
+    radiance: Array  # H x W x 3, 0 where masked, capped; below 0 where it is outside of the gamut
     factor: Array  # H x W x 3, what radiance is divided by while it is filtered
     inputs: dict[str, Array]  # the graph's: H x W x C, S x H x W x C, scalars [1]
     clean: bool = False  # whether the factor is cleaned before it divides and multiplies
@@ -48,16 +52,22 @@ def prepare(buffers: Buffers, manifest: dict[str, Any]) -> Prepared:
     with np.errstate(invalid="ignore"):  # a signalling NaN complains
         given = {n: v for n, v in buffers.items() if not n.startswith("samples.") or reads(manifest, n)}
         double = {name: values.astype(np.float64) for name, values in given.items()}
+    silent = {name for name in double.keys() & MEANINGS.keys() if says_nothing(double[name], name)}
+    double = {name: values for name, values in double.items() if name in manifest["requires"] or name not in silent}
     branches = active_branches(double, manifest)
     split = len(branches) == len(manifest["reconstruction"]["branches"]) and branches[0]["radiance"] != "color"
     names = [branch["radiance"] for branch in branches]
-    if names == ["color"] and "color" not in double:
-        double["color"] = double["diffuse"] + double["specular"]
-    valid = np.logical_and.reduce([np.isfinite(double[name]).all(-1) for name in names])
-    radiance = [np.where(valid[..., None], np.maximum(double[name], 0), 0) for name in names]
-    exposure = auto_exposure(sum(radiance[1:], radiance[0]), valid, manifest["exposure"]["key"])
-    cap = min(1e30 / exposure, 1e32)
-    depth_scale = find_depth_scale(double.get("depth", np.zeros(0))) if reads(manifest, "depth") else 1.0
+    if split and "color" in double and double["color"].any():
+        double |= parts_of(double["color"], double["diffuse"], double["specular"])
+    parts = ["diffuse", "specular"] if names == ["color"] and "color" not in double else names
+    valid = np.logical_and.reduce([np.isfinite(double[name]).all(-1) for name in parts])
+    radiance = [np.where(valid[..., None], within_gamut(double[name]), 0) for name in parts]
+    radiance = radiance if parts == names else [radiance[0] + radiance[1]]
+    light = np.sum([np.maximum(part, 0) for part in radiance], axis=0)
+    exposure = auto_exposure(light, valid, manifest["exposure"]["key"])
+    cap = min(BRIGHTEST / min(exposure, 1), 1e32)
+    shown = {name for name in double if reads(manifest, name)}
+    depth_scale = find_depth_scale(clean(double["depth"], "depth")) if "depth" in shown else 1.0
     shared = guides(double, split) | samples(double, valid.shape)
     spp = shared["samples.valid"].shape[0] if "samples.descriptor" in double else 0
     embedded = manifest["samples_per_pixel"].get("embedded")
@@ -70,16 +80,16 @@ def prepare(buffers: Buffers, manifest: dict[str, Any]) -> Prepared:
         factor = np.ones_like(values)
         by = branch.get("demodulate", {}).get("by")
         if by in double:
-            factor = guide(double[by], by) + branch["demodulate"]["epsilon"]
-        values = np.minimum(values, cap)
+            factor = clean(double[by], by) + branch["demodulate"]["epsilon"]
+        values = np.clip(values, -cap, cap)
         variance = double.get("variance" if name == "color" else f"{name}.variance")
         own = {
-            "radiance": values,
-            "variance": guide(np.zeros_like(values) if variance is None else variance, "variance"),
+            "radiance": np.clip(values, 0, BRIGHTEST / exposure),
+            "variance": np.zeros_like(values) if variance is None else clean(variance, "variance"),
         }
         own["variance.present"] = np.array([float(variance is not None and spp != 1)])
-        clean = by in double and branch["demodulate"].get("clean", False)
-        made.append(Branch(branch["graph"], name, values, factor, shared | own, clean))
+        cleaned = by in double and branch["demodulate"].get("clean", False)
+        made.append(Branch(branch["graph"], name, values, factor, shared | own, cleaned))
     return Prepared(made, valid, exposure, depth_scale)
 
 
@@ -116,13 +126,27 @@ def auto_exposure(color: Array, valid: NDArray[np.bool_], key: float) -> float:
 
 def find_depth_scale(depth: Array) -> float:
     """1 / geometric mean of the depths that are no miss."""
-    hits = depth[np.isfinite(depth) & (depth > 0)]
+    hits = depth[depth > 0]
     return float(np.clip(np.exp(-np.log(hits).mean()), 1e-37, 1e37)) if hits.size else 1.0
 
 
-def guide(values: Array, name: str) -> Array:
-    """What is not finite becomes 0, the rest is brought into the guide's range."""
-    return np.clip(np.where(np.isfinite(values), values, 0), *RANGES.get(name, (0.0, math.inf)))
+def parts_of(color: Array, diffuse: Array, specular: Array) -> dict[str, Array]:
+    """Diffuse and specular, brought to add up to a color that is known where they do not."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        slack = ROUNDING * (np.abs(color) + np.abs(diffuse) + np.abs(specular))
+        fits = np.isfinite(diffuse + specular) & (np.abs(diffuse + specular - color) <= slack)
+        apart = np.isfinite(color).all(-1) & ~np.all(fits, axis=-1)
+        known = np.where(np.isfinite(diffuse).all(-1, keepdims=True), diffuse, 0)
+        part = np.clip(known, np.minimum(color, 0), np.maximum(color, 0))
+        pixels = np.expand_dims(apart, -1)
+        return {"diffuse": np.where(pixels, part, diffuse), "specular": np.where(pixels, color - part, specular)}
+
+
+def within_gamut(radiance: Array) -> Array:
+    """Components far below 0 become 0: they are no light, nor a colour."""
+    with np.errstate(invalid="ignore"):
+        lowest = -OUT_OF_GAMUT * np.maximum(radiance.max(-1, keepdims=True), 0)
+        return np.where(radiance < lowest, 0, radiance)
 
 
 def guides(buffers: dict[str, Array], split: bool) -> dict[str, Array]:
@@ -130,10 +154,11 @@ def guides(buffers: dict[str, Array], split: bool) -> dict[str, Array]:
     height, width = next(values for name, values in buffers.items() if not name.startswith("samples.")).shape[:2]
     made: dict[str, Array] = {}
     for name, channels in (("albedo", 3), ("normal", 3), ("depth", 1)):
-        values = buffers.get(name, np.zeros((height, width, channels)))
-        made |= {name: guide(values, name), f"{name}.present": np.array([float(name in buffers)])}
-    albedo = buffers["diffuse.albedo"] if split else np.zeros((height, width, 3))
-    made["diffuse.albedo"] = guide(albedo, "diffuse.albedo")
+        none = np.zeros((height, width, channels))
+        made[name] = clean(buffers[name], name) if name in buffers else none
+        made[f"{name}.present"] = np.array([float(name in buffers)])
+    none = np.zeros((height, width, 3))
+    made["diffuse.albedo"] = clean(buffers["diffuse.albedo"], "diffuse.albedo") if split else none
     return made
 
 

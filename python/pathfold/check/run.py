@@ -91,7 +91,8 @@ def case_row(subject: Subject, case: Case, known: References | None) -> Row:
     else:
         beyond = min(max(known.logits[case.name] / WHOLE_CHAIN_LOGIT, 1.0), MOST_BEYOND)
         row.allowed = tolerance("chain.fp32") * beyond
-        row.compare(result.color, image, max(float(branch.radiance.max()) for branch in frame.branches))
+        brightest = max(float(branch.radiance.max()) for branch in frame.branches)
+        row.compare(result.color, image, brightest, max(float(-branch.radiance.min()) for branch in frame.branches))
     return row.judged()
 
 

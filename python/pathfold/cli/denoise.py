@@ -169,14 +169,23 @@ def noisy_layers(one: Denoised) -> list[str]:
     return [layer for name, layer in stay.items() if layer not in one.layers and getattr(one.result, name) is None]
 
 
+def mended(buffer: str, faults: dict[str, int]) -> str:
+    """What was wrong with a buffer: "albedo 5120 above 1 (clamped)"."""
+    return f"{buffer} {', '.join(f'{count} {what}' for what, count in faults.items())}"
+
+
 def result_lines(report: dict[str, Any]) -> Iterator[str]:
     """What a run used, mended, left out and took."""
     inputs = report["inputs"]
     yield f"  {report['model']}, precision {report['precision']}, read {', '.join(inputs['used'])}"
     if inputs["missing"]:
         yield f"  not there: {', '.join(inputs['missing'])}"
-    if mended := {what: count for what, count in report["sanitised"].items() if count}:
-        yield "  mended: " + ", ".join(f"{count} {what.replace('_', ' ')}" for what, count in mended.items())
+    if report["sanitised"]:
+        yield f"  mended: {'; '.join(mended(*entry) for entry in report['sanitised'].items())}"
+    if report["repaired"]:
+        yield f"  left noisy: {report['repaired']} values, for which the network gave no finite kernel"
+    for note in report["notes"]:
+        yield f"  note: {note}"
     for entry in report["left_out"]:
         saved = f" (saved about {entry['saved_ms']:.3g} ms)" if "saved_ms" in entry else ""
         yield f"  left out {entry['what']}: {entry['why']}{saved}"

@@ -269,7 +269,10 @@ PATHFOLD_API void pathfold_denoiser_release(pathfold_denoiser *denoiser);
  * "samples.valid". A descriptor may have fewer than 6 vertices (6 + 5 channels for each) where no path of the
  * frame has more. Normals are in camera space. Where a ray hits nothing, albedo is 1, as on visible lights (a
  * renderer that writes 0 there adds 1 - alpha), normal and depth are 0.
- * The pixels must live until the run is over. A null image takes the buffer away.
+ * Values are taken by their meaning: albedos are clamped to [0, 1]; a depth of 1e9 or more, or none that is
+ * finite, is a miss; a variance that is not finite is unknown, never 0; radiance may be negative where a
+ * colour lies outside of the gamut. A guide that is the same in every pixel is not used. The report says what
+ * was mended. The pixels must live until the run is over. A null image takes the buffer away.
  * PATHFOLD_INVALID_ARGUMENT: no such name, wrong channels, no size. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_input(pathfold_denoiser *denoiser,
                                                                            const char *name,
@@ -349,13 +352,17 @@ static inline pathfold_plan pathfold_plan_init(void) {
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_plan(const pathfold_denoiser *denoiser,
                                                                       pathfold_plan *plan);
 
-/* Denoises the frame into the outputs that were set. Outputs are finite; all but layers are >= 0.
- * PATHFOLD_INVALID_ARGUMENT: a buffer that the model requires is missing, sizes differ, or an image has no
- * data. PATHFOLD_CANCELLED: the callback said so; outputs are then partly written. */
+/* Denoises the frame into the outputs that were set. Outputs are finite and lie between the least and largest
+ * values around, so they are negative only where the input is. Where "color" is set beside diffuse and
+ * specular, these are made to add up to it. PATHFOLD_INVALID_ARGUMENT: a buffer that the model requires is
+ * missing, sizes differ, or an image has no data. PATHFOLD_CANCELLED: the callback said so; outputs are then
+ * partly written. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_run(pathfold_denoiser *denoiser);
 
 /* The report of the last run as JSON: what was used, what was left out and why, milliseconds per stage.
- * "{}" before the first run. Valid until the next run. */
+ * "sanitised" says by buffer what was wrong and, in brackets, what was made of it, in how many pixels:
+ * {"albedo": {"above 1 (clamped)": 5120}}; "notes" are sentences. "{}" before the first run, and where the
+ * last one failed. Valid until the next run. */
 PATHFOLD_API const char *pathfold_denoiser_report(const pathfold_denoiser *denoiser);
 
 /* ---- Pieces, for tools and tests ---------------------------------------------------------------------- */
