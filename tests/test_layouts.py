@@ -77,7 +77,12 @@ def with_one_named(file: ImageFile, layout: Layout, rng: np.random.Generator) ->
     buffer = str(rng.choice(["color", *GUIDES]))
     layer = file.layers[rng.integers(len(file.layers))]
     try:
-        return faults(file, layout, channels.match(file, {buffer: layer.option}), buffer)
+        return faults(
+            file,
+            layout,
+            channels.match(file, {buffer: layer.option}),
+            buffer,
+        )
     except ImageError:
         return []
 

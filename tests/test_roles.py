@@ -1,5 +1,6 @@
 """Which layer is what in files of several parts, views and channels without layers: no position decides."""
 
+import shlex
 from itertools import permutations
 from pathlib import Path
 
@@ -108,3 +109,23 @@ def test_what_looks_like_a_guide_is_told(tmp_path: Path) -> None:
     for buffer, name in zip(("albedo", "normal", "depth", "variance"), extra, strict=False):
         assert f"{name} (--map {buffer}={name})" in note
     assert "key" not in note
+
+
+def test_what_a_cure_names_is_taken(tmp_path: Path) -> None:
+    """Whatever an error or a note offers works as it stands, on a shell too."""
+    pages = [part("", RGB, ["float"] * 3, noise(3, seed)) for seed in range(2)]
+    for name, parts in {
+        "pages.tif": pages,
+        "spaces.exr": [part(f"my {name}", RGB, ["float"] * 3, noise(3)) for name in "ab"],
+        "layers.exr": [part("", [f"{name}.{c}" for name in ("rgba", "hdr") for c in RGB], ["float"] * 6, noise(6))],
+    }.items():
+        path = tmp_path / name
+        for spec, _ in parts if path.suffix == ".tif" else ():
+            spec.erase_attribute("compression")
+        file = ImageFile(write(path, parts))
+        with pytest.raises(ImageError, match="could each be the picture") as caught:
+            channels.match(file)
+        words = shlex.split(str(caught.value).partition("choose with ")[2])
+        offered = [word.split("=", 1) for word in words if "=" in word]
+        taken = [channels.match(file, dict([one]))[0].color_layer for one in offered]
+        assert len({(layer.part, layer.name) for layer in taken}) == 2

@@ -258,14 +258,14 @@ def _with_notes(file: ImageFile, frames: Sequence[Frame], overrides: Mapping[str
             )
     for layer in file.layers:
         if layer.name.casefold() in ("left", "right") and layer.pick(3) and not used & _all_channels(layer):
-            notes[0].append(f"{layer.label} is no view by the header and stays as it is; --map color={layer.option}")
+            notes[0].append(f"{layer.label} is no view by the header and stays as it is; {layer.mapped('color')}")
     unused: list[list[str]] = [[] for _ in frames]
     for layer in file.layers:
         buffer = None if used & _all_channels(layer) or "samples." in layer.name else _seems(layer)
         if buffer and overrides.get(buffer, "").lower() != "none":
             owner = next((at for at, frame in enumerate(frames) if serves(layer, frame.color_layer.view, file)), 0)
             overlaps = layer.window.common(frames[owner].window)
-            why = f"--map {buffer}={layer.option}" if overlaps else "beside the picture"
+            why = layer.mapped(buffer) if overlaps else "beside the picture"
             unused[owner].append(f"{layer.label} ({why})")
     for at, lines in enumerate(unused):
         more = f" and {len(lines) - _TOLD} more" if len(lines) > _TOLD else ""

@@ -62,7 +62,7 @@ def _cure(file: ImageFile) -> str:
     could = [
         layer for layer in others if not any(words.data(name) or words.light(name) for name in layer.names if name)
     ]
-    example = f", perhaps --map color={could[0].option}" if len(could) == 1 else ""
+    example = f", perhaps {could[0].mapped('color')}" if len(could) == 1 else ""
     return f"name it with --map color=LAYER{example}"
 
 
@@ -73,7 +73,7 @@ def _chosen(file: ImageFile, text: str) -> list[Layer]:
     for layers in _by_view(named(file, "color", text)):
         layer = main(file, layers[0].view) if len(layers) > 1 else layers[0]
         if layer not in layers:
-            parts = " or ".join(f"--map color={layer.option}" for layer in layers)
+            parts = " or ".join(layer.mapped("color") for layer in layers)
             raise ImageError(f"{file.path}: --map color={text} could be {listed(layers)}; name one with {parts}")
         chosen.append(layer)
     for layer in chosen:
@@ -117,7 +117,7 @@ def _refuse_two(file: ImageFile, group: Sequence[Layer], preset: Preset) -> None
     bare = [layer for layer in group if layer.bare]
     unsure = bare if len(bare) > 1 else group if not group[0].bare and preset.name == "common" else []
     if len(unsure) > 1:
-        cures = " or ".join(f"--map color={layer.option}" for layer in unsure)
+        cures = " or ".join(layer.mapped("color") for layer in unsure)
         raise ImageError(f"{file.path}: {listed(unsure)} could each be the picture; choose with {cures}")
 
 

@@ -9,6 +9,7 @@ its part before it. A *view* is said by the part's `view` attribute, by a channe
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from shlex import quote
 
 import OpenImageIO as oiio  # noqa: N813
 
@@ -37,6 +38,10 @@ class Layer:
     def option(self) -> str:
         """What names this very layer on a command line."""
         return ([name for name in self.names if name] or [self.label])[-1 if self.bare else 0]
+
+    def mapped(self, buffer: str) -> str:
+        """The option that takes this very layer for a buffer, as a shell reads it."""
+        return f"--map {quote(f'{buffer}={self.option}')}"
 
     @property
     def size(self) -> tuple[int, int]:
@@ -86,7 +91,7 @@ def views(layers: Iterable[Layer]) -> list[str]:
 
 
 def _of_part(number: int, spec: oiio.ImageSpec, parts: int, views: Sequence[str]) -> list[Layer]:
-    title = _title(spec) or (f"part {number}" if number else "")
+    title = _title(spec) or (f"part {number}" if parts > 1 else "")
     part, own_view = _without_view(title, views)
     own_view = spec.get_string_attribute("view") or own_view
     declared = _multi_view(spec)
