@@ -73,7 +73,9 @@ def test_the_result_is_that_of_aligned_buffers(tiny: Path, tmp_path: Path) -> No
     parts = [at("albedo", RGB, albedo, 4, 3), at("", RGB, color), at("key", RGB, key, -2, 5)]
     source, target = write(tmp_path / "in.exr", parts), tmp_path / "out.exr"
     denoiser = Denoiser("single-3")
-    denoise_file(source, target, denoiser, layers=["key"], exposures=[1.0])
+    (done,) = denoise_file(source, target, denoiser, layers=["key"], exposures=[1.0])
+    line = "key is 7x6 at -2,5, the picture 12x9 at 0,0: beyond it the layer stays as noisy as before"
+    assert done.converted == (line,)
     expected = denoiser.run(
         color,
         albedo=aligned(albedo, 4, 3, 1.0),

@@ -90,6 +90,7 @@ def denoise_file(
         changed |= _changes(file, frame, result)
         for layer, at in extra:
             changed |= _places(file, layer, at, result.layers[_key(layer)], frame.window)
+        converted += _beyond([frame.color_layer, *(layer for layer, _ in extra)], frame.window)
         names = tuple(layer.label for layer, _ in extra)
         done.append(Denoised(frame, result, names, lost, tuple(lines), tuple(converted)))
         begin = perf_counter()
@@ -213,6 +214,15 @@ def _changes(file: ImageFile, frame: Frame, result: Result) -> dict[tuple[int, i
             layer = source.layers[0]
             changed |= _places(file, layer, source.numbers(layer, BUFFERS[name]) or [], pixels, frame.window)
     return changed
+
+
+def _beyond(layers: Sequence[Layer], window: Window) -> list[str]:
+    """A line for each layer that has pixels where the picture has none."""
+    return [
+        f"{layer.label} is {layer.window}, the picture {window}: beyond it the layer stays as noisy as before"
+        for layer in layers
+        if layer.window.common(window) != layer.window
+    ]
 
 
 def _places(
