@@ -45,7 +45,7 @@ def noise(channels: int, seed: int = 0, size: tuple[int, int] = SIZE) -> np.ndar
 
 def beauty(path: Path, seed: int = 0, extra: int = 3) -> Path:
     """A half-float picture with alpha, albedo and a layer that nobody knows."""
-    names = [*RGB, "A", *(f"albedo.{c}" for c in RGB), *(f"matte.{c}" for c in RGB[:extra])]
+    names = [*RGB, "A", *(f"albedo.{c}" for c in RGB), *(f"fill.{c}" for c in RGB[:extra])]
     values = noise(len(names), seed)
     values[..., 3:7] = np.clip(values[..., 3:7], 0, 1)
     return write(path, [part("", names, ["half"] * len(names), values, artist="nobody")])

@@ -28,7 +28,7 @@ def test_denoise_changes_the_beauty_and_keeps_the_rest(run, tmp_path: Path) -> N
 
 def test_denoise_map_layer_and_exposure(run, tmp_path: Path) -> None:
     source = beauty(tmp_path / "in.exr")
-    arguments = ["-m", "split-5", "--map", "albedo=none", "--layer", "mat*", "--exposure", "2"]
+    arguments = ["-m", "split-5", "--map", "albedo=none", "--layer", "fi*", "--exposure", "2"]
     code, out, _ = run("denoise", source, "-o", tmp_path / "out.exr", *arguments)
     assert code == 0 and "albedo <-" not in out and "exposure 2," in out
     before, after = ImageFile(source), ImageFile(tmp_path / "out.exr")

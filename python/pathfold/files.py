@@ -1,8 +1,7 @@
 """Denoising picture files: frames and layers of an EXR through a `Denoiser`, all else kept."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -16,6 +15,7 @@ from pathfold.buffers import BUFFERS
 from pathfold.channels import Frame, samples
 from pathfold.denoiser import Denoiser, Result
 from pathfold.images import ImageError, ImageFile, Layer, Window, lay, save_as, writing_mb
+from pathfold.radiance import alike
 
 _DISPLAY_REFERRED = ("uint8", "int8", "uint16", "int16")
 # Where the parts of `image.hdr.exr` lie in the convention of Open Image Denoise's tools.
@@ -23,7 +23,6 @@ _SIBLINGS = {"albedo": "alb", "normal": "nrm"}
 
 Image = NDArray[np.float32]
 Buffers = dict[str, NDArray[Any]]
-Extra = list[tuple[Layer, list[int]]]  # layers to filter alike, with their channel numbers
 
 
 @dataclass(frozen=True)
@@ -36,6 +35,7 @@ class Denoised:
     lost: int = 0  # the number of pixels where not one has finite color: the result is black
     budget: tuple[str, ...] = ()  # what was chosen to stay inside a budget, and what was given up for it
     converted: tuple[str, ...] = ()  # what was made of the file's buffers at reading
+    left: Mapping[str, str] = field(default_factory=dict)  # layers that a pattern met, no radiance, and what they are
     written: tuple[str, ...] = ()  # what of the file is stored otherwise than it was, or with loss; of its last frame
 
 
@@ -63,7 +63,8 @@ def denoise_file(
     frames = channels.match(file, mapping, guides or siblings(source))
     done: list[Denoised] = []
     changed: dict[tuple[int, int], Image] = {}
-    for number, (frame, extra) in enumerate(zip(frames, _extra(file, frames, layers), strict=True)):
+    for number, (frame, also) in enumerate(zip(frames, alike(file, frames, layers), strict=True)):
+        extra = also.layers
         lines: list[str] = []
         if isinstance(denoiser, Budget):
             buffers, converted = read(file, frame, ["color"], sorted(denoiser.reads))
@@ -92,7 +93,7 @@ def denoise_file(
             changed |= _places(file, layer, at, result.layers[_key(layer)], frame.window)
         converted += _beyond([frame.color_layer, *(layer for layer, _ in extra)], frame.window)
         names = tuple(layer.label for layer, _ in extra)
-        done.append(Denoised(frame, result, names, lost, tuple(lines), tuple(converted)))
+        done.append(Denoised(frame, result, names, lost, tuple(lines), tuple(converted), left=also.left))
         begin = perf_counter()
     part = samples.find(file)
     notes = {
@@ -151,52 +152,10 @@ def siblings(source: Path) -> dict[str, Path]:
     return {name: path for name, path in found.items() if path.is_file()}
 
 
-def _extra(file: ImageFile, frames: Sequence[Frame], patterns: Sequence[str]) -> list[Extra]:
-    """The further radiance layers to filter alike, for each frame those of its own view and view layer.
-
-    Raises ImageError for a pattern that finds nothing to filter, and says why.
-    """
-    found: list[Extra] = [[] for _ in frames]
-    for pattern in patterns:
-        layers = [layer for layer in file.layers if any(fnmatchcase(name, pattern) for name in layer.names)]
-        if not layers:
-            raise ImageError(f"{file.path}: --layer {pattern}: no such layer; it has {channels.describe(file)}")
-        refused = []
-        for layer in layers:
-            owner = _owner(frames, layer)
-            at = layer.pick(3) or layer.pick(1)
-            if owner is None:
-                refused.append(f"{layer.label} belongs to none of the file's pictures")
-            elif layer == frames[owner].color_layer:
-                refused.append(f"{layer.label} is the picture itself")
-            elif layer.window.common(frames[owner].window) is None:
-                refused.append(f"{layer.label} is {layer.window}, beside the picture, {frames[owner].window}")
-            elif layer.part == samples.find(file) or not at:
-                refused.append(f"{layer.label} has {', '.join(layer.channels)}; R, G, B or one channel can be filtered")
-            elif (layer, at) not in found[owner]:
-                found[owner].append((layer, at))
-        if len(refused) == len(layers):
-            raise ImageError(f"{file.path}: --layer {pattern}: nothing to filter: {'; '.join(refused[:3])}")
-    return found
-
-
 def _samples_per_pixel(file: ImageFile) -> int:
     """What our own header says of it; 0: nothing."""
     said = file.metadata().get("pathfold:spp")
     return said if isinstance(said, int) and said > 0 else 0
-
-
-def _owner(frames: Sequence[Frame], layer: Layer) -> int | None:
-    """The number of the frame that a layer is a part of: that of its view and its view layer."""
-
-    def fits(frame: Frame) -> bool:
-        if len(frames) == 1:
-            return layer.view in ("", frame.color_layer.view)
-        within = not frame.view_layer or layer.name.casefold().startswith(f"{frame.view_layer}.".casefold())
-        return layer.view == frame.color_layer.view and within
-
-    fitting = [number for number, frame in enumerate(frames) if fits(frame)]
-    return max(fitting, key=lambda number: len(frames[number].view_layer), default=None)
 
 
 def _key(layer: Layer) -> str:

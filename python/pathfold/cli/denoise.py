@@ -111,6 +111,9 @@ def denoise(
                     console.say(f"  {line}")
                 if one.layers:
                     console.say(f"  filtered alike: {', '.join(one.layers)}")
+                if one.left:
+                    told = (f"{layer} ({what})" for layer, what in one.left.items())
+                    console.say(f"  no radiance, left as they are: {', '.join(told)}")
                 for line in result_lines(one.result.report):
                     console.say(line)
                 if stay := noisy_layers(one):
