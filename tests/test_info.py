@@ -7,7 +7,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
 from exr_files import RGB, noise, part, with_samples, write
-from pathfold import channels, sheet
+from pathfold import Denoiser, channels, sheet
 from pathfold.cli import console
 
 XYZ = "XYZ"
@@ -74,13 +74,15 @@ def test_what_would_be_converted_is_told(run, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("noisy", [False, True])
 @pytest.mark.parametrize("stored", ["plain", "encoded"])
-def test_encoded_normals_are_known_by_their_values(stored: str, noisy: bool) -> None:
+def test_encoded_normals_are_known_by_their_values_as_to_the_sdk(tiny: Path, stored: str, noisy: bool) -> None:
     rng = np.random.default_rng(3)
     each = rng.normal(size=(40, 50, 4 if noisy else 1, 3)) * 0.5 - [0, 0, 1]
     normal = (each / np.linalg.norm(each, axis=-1, keepdims=True)).mean(-2).astype(np.float32)
     normal[:5] = 0
     held = 0.5 * normal + 0.5 if stored == "encoded" else normal
     assert channels.encoded(held) == (stored == "encoded")
+    notes = Denoiser("split-5").run(noise(3, size=(50, 40)), normal=held).report["notes"]
+    assert any("0.5 n + 0.5" in note for note in notes) == (stored == "encoded")
 
 
 def test_no_color_is_told_and_drawn(run, tmp_path: Path) -> None:

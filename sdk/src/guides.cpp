@@ -75,11 +75,10 @@ bool differ(const float *pixels, int count, int channels, const std::vector<floa
 
 /// Counts that tell normals from those stored as 0.5 n + 0.5.
 struct Encoding {
-    int64_t signed_pixels = 0, hits = 0, plain = 0, encoded = 0;
+    int64_t signed_pixels = 0, hits = 0, plain = 0, near = 0, longer = 0;
 
     void add(const float *pixels, int count) {
-        constexpr float slack = 0.01f, tolerance = 0.1f;
-        const auto is_unit = [&](float square) { return std::abs(std::sqrt(square) - 1) < tolerance; };
+        constexpr float slack = 0.01f, nearly = 0.9f * 0.9f, above = 1.1f * 1.1f, too_long = 1.05f * 1.05f;
         for (int i = 0; i < count; ++i) {
             const float x = pixels[3 * i], y = pixels[3 * i + 1], z = pixels[3 * i + 2];
             const float u = 2 * x - 1, v = 2 * y - 1, w = 2 * z - 1;
@@ -87,17 +86,19 @@ struct Encoding {
             signed_pixels += std::min({x, y, z}) < -slack;
             const bool hit = square > slack && decoded > slack;
             hits += hit;
-            plain += hit && is_unit(square);
-            encoded += hit && is_unit(decoded);
+            plain += hit && square > nearly && square < above;
+            near += hit && decoded > nearly;
+            longer += hit && decoded > too_long;
         }
     }
     void operator+=(const Encoding &other) {
         signed_pixels += other.signed_pixels, hits += other.hits;
-        plain += other.plain, encoded += other.encoded;
+        plain += other.plain, near += other.near, longer += other.longer;
     }
-    /// Nearly all of a frame's pixels are a unit vector in that code, and not as they stand.
+    /// As they stand nearly none is negative and not all are unit vectors; decoded, none is longer than one,
+    /// as no mean of unit vectors is, and some are as long.
     bool holds(int64_t pixels) const {
-        return signed_pixels * 1000 <= pixels && hits > 0 && encoded * 10 >= hits * 9 &&
+        return signed_pixels * 1000 <= pixels && hits > 0 && longer * 100 <= hits && near * 5 >= hits &&
                plain * 10 < hits * 9;
     }
 };

@@ -194,6 +194,16 @@ TEST(Guides, EncodedNormalsAreDecoded) {
     }
 }
 
+TEST(Guides, EncodedMeansOfNormalsAreDecoded) {
+    Given given;
+    Pixels &normal = given.add("normal", unit_normals());
+    for (size_t i = 0; i < normal.values.size() / 2; ++i) // of two that differ: much shorter than one
+        normal.values[i] = 0.5f * (normal.values[i] + normal.values[i + 3]);
+    for (float &value : normal.values)
+        value = 0.5f * value + 0.5f;
+    EXPECT_EQ(given.look().notes(), Notes{"normal is stored as 0.5 n + 0.5: decoded"});
+}
+
 TEST(Guides, NormalsThatFaceOneWayAreNotEncoded) {
     Pixels normal = unit_normals(); // all in the positive octant
     for (float &value : normal.values)
