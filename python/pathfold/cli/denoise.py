@@ -1,6 +1,5 @@
 """`pathfold denoise`: a picture file in, the same file with its noise removed out."""
 
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +10,7 @@ from pathfold import models
 from pathfold.budget import Budget
 from pathfold.channels import Frame
 from pathfold.cli import console
-from pathfold.cli.console import InputError
+from pathfold.cli.sequence import expand, similar
 from pathfold.denoiser import Denoiser
 from pathfold.files import Denoised, denoise_file
 from pathfold.images import check_output
@@ -76,6 +75,8 @@ def denoise(
     pairs = expand(source, output)
     for _, clean in pairs:
         check_output(clean)
+    if not quiet and (skipped := similar(source, output)):
+        console.say(f"not of the sequence {source.name}: {', '.join(skipped)}")
     options: dict[str, Any] = {"provider": provider, "threads": threads, "precision": precision, "leave_out": leave_out}
     denoiser: Denoiser | Budget
     with console.usage():
@@ -132,26 +133,6 @@ def parse_map(entries: Sequence[str]) -> dict[str, str]:
             raise typer.BadParameter(f"--map {entry}: write BUFFER=LAYER, for example albedo=MyAlbedo or normal=none")
         parsed[buffer] = layer
     return parsed
-
-
-def expand(source: Path, output: Path) -> list[tuple[Path, Path]]:
-    """The files that a name stands for, with their outputs: `####` stands for a frame number."""
-    run = re.search(r"#+", source.name)
-    if run is None and "#" in output.name:
-        raise InputError(f"{output}: # stands for a frame number, which {source.name} has not; name one file")
-    if run is None:
-        return [(source, output)]
-    if "#" not in output.name:
-        raise InputError(f"{output}: a sequence needs {run.group()} in the name of its output, too")
-    number = re.compile(re.escape(source.name).replace(re.escape(run.group()), rf"(\d{{{len(run.group())},}})", 1))
-    listed = source.parent.iterdir() if source.parent.is_dir() else ()
-    frames = sorted((int(found.group(1)), path) for path in listed if (found := number.fullmatch(path.name)))
-    if not frames:
-        raise InputError(f"{source}: no file of that name with a frame number")
-    width = len(re.search(r"#+", output.name).group())  # type: ignore[union-attr]
-    return [
-        (path, output.with_name(re.sub(r"#+", f"{frame:0{width}d}", output.name, count=1))) for frame, path in frames
-    ]
 
 
 def frame_lines(path: Path, frame: Frame) -> Iterator[str]:
