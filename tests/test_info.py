@@ -44,8 +44,8 @@ def test_the_mapping_is_a_row_per_buffer(run, tmp_path: Path) -> None:
     assert ["normal", "VL.Denoising Normal", "0", "X,Y,Z", "half", "12x9"] in told
     assert "diffuse = (VL.DiffDir + VL.DiffInd) * VL.DiffCol" in out and "channel names of Blender Cycles" in out
     reasons = {row[0]: row[-1] for row in told}
-    assert "--map normal=VL.my normals would use it" in reasons["VL.my normals"]
-    assert "--layer 'VL.key'" in reasons["VL.key"] and reasons["VL.id"] == "no buffer; kept as it is"
+    assert "--map 'normal=VL.my normals' would use it" in reasons["VL.my normals"]
+    assert "--layer VL.key filters it" in reasons["VL.key"] and reasons["VL.id"] == "no buffer; kept as it is"
     assert "not found: albedo, depth, variance" in out
 
 

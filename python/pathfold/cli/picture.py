@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,9 +156,9 @@ def _reason(picture: Picture, layer: Layer) -> str:
         return "no color was found"
     guide = words.guide(layer.label)
     if guide and layer.pick(BUFFERS[guide]):
-        return f"no known name, or another is used; --map {guide}={layer.option} would use it"
+        return f"no known name, or another is used; {layer.mapped(guide)} would use it"
     if not words.data(layer.label) and {"R", "G", "B"} <= set(layer.channels):
-        return f"no buffer; --layer '{layer.option}' filters it alike, if it is light"
+        return f"no buffer; --layer {quote(layer.option)} filters it alike, if it is light"
     return "no buffer; kept as it is"
 
 
