@@ -21,6 +21,7 @@ from pathfold.check.measure import relative_error, tolerance
 from pathfold.check.outcome import Row, factor_limits
 from pathfold.check.prepare import Branch, Prepared, auto_exposure, prepare, window_limits
 from pathfold.check.properties import PROPERTIES, gather
+from pathfold.check.spoilt import SPOILT
 from pathfold.cli import app, console
 from pathfold.denoiser import Denoiser
 
@@ -33,7 +34,7 @@ def test_frames_are_the_same_bits_everywhere() -> None:
     """What an exported reference belongs to: a change here makes every model's references stale."""
     assert references.frame_hash(cases.frame()) == FRAME
     assert all(references.frame_hash(case.make()) == references.frame_hash(case.make()) for case in CASES)
-    names = [entry.name for entry in (*CASES, *PROPERTIES)]
+    names = [entry.name for entry in (*CASES, *PROPERTIES, *SPOILT)]
     assert len(set(names)) == len(names)
 
 

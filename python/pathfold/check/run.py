@@ -16,6 +16,7 @@ from pathfold.check.outcome import Row
 from pathfold.check.prepare import Prepared, prepare, reads
 from pathfold.check.properties import PROPERTIES, Property, Subject
 from pathfold.check.references import References, ReferencesError
+from pathfold.check.spoilt import SPOILT
 
 WHOLE_CHAIN_LOGIT, MOST_BEYOND = 20.0, 5.0  # tolerances.toml, chain
 NOT_CHECKED = ("accumulated samples (1e7 per pixel, 2^24 in all): the SDK has no accumulator",)
@@ -60,7 +61,7 @@ def check_model(
         report.note = "the error of a frame is the mean relative difference of its values to those in fp32"
     elif known is None:
         report.note = f"no usable {references.FILE}: errors are not measured; `pathfold-train export` writes one"
-    entries: list[Case | Property] = [*CASES, *PROPERTIES]
+    entries: list[Case | Property] = [*CASES, *PROPERTIES, *SPOILT]
     for number, entry in enumerate(entries, start=1):
         if not reads(manifest, entry.needs):
             report.skipped.append(entry.name)

@@ -88,7 +88,8 @@ def plain(text: str) -> Text:
 def cells(row: Row) -> list[str]:
     error = "" if row.error is None else f"{row.error:.1e}" if row.error else "0"
     worst = f"{row.worst[1]}, {row.worst[0]}" if row.worst else ""
-    return [row.name, error, worst, yes(row.finite), yes(row.bounded), row.reason or "pass"]
+    told = row.error is not None and row.allowed is None  # a figure that is held to nothing
+    return [row.name, error, worst, yes(row.finite), yes(row.bounded), row.reason or ("told" if told else "pass")]
 
 
 def yes(value: bool) -> str:
