@@ -69,12 +69,13 @@ def filled(values: Array, missing: str) -> Array:
 
 
 def is_encoded(normal: Array) -> bool:
-    """Whether nearly all normals are unit vectors as 0.5 n + 0.5, and not as they stand."""
+    """Whether normals are stored as 0.5 n + 0.5: so read none is longer than a unit vector, and some are as long."""
     square, code = (normal**2).sum(-1), ((2 * normal - 1) ** 2).sum(-1)
     hit = (square > 0.01) & (code > 0.01)
-    plain, encoded = (hit & (np.abs(np.sqrt(value) - 1) < 0.1) for value in (square, code))
+    hits, plain = int(hit.sum()), (hit & (square > 0.9**2) & (square < 1.1**2)).sum()
+    near, longer = (hit & (code > 0.9**2)).sum(), (hit & (code > 1.05**2)).sum()
     few_signed = 1000 * (normal.min(-1) < -0.01).sum() <= hit.size
-    return bool(few_signed and hit.any() and 10 * encoded.sum() >= 9 * hit.sum() > 10 * plain.sum())
+    return bool(few_signed and hits and 100 * longer <= hits <= 5 * near and 10 * plain < 9 * hits)
 
 
 def decoded(normal: Array) -> Array:
