@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pathfold.check import cases
 from pathfold.check.cases import Buffers, Draw
 from pathfold.check.outcome import Row
 from pathfold.check.properties import Property, Subject
@@ -16,9 +18,12 @@ ALBEDOS = ("albedo", "diffuse.albedo")
 SHAPED = (*ALBEDOS, "normal", "depth")
 
 
-def room(seed: int = 31) -> tuple[Buffers, NDArray[np.float64]]:
-    """A noisy frame of tiles under a soft light, with guides without noise; and what it should be, H x W x 3."""
-    draw = Draw(seed)
+def room(manifest: dict[str, Any]) -> tuple[Buffers, NDArray[np.float64]]:
+    """A noisy frame of tiles under a soft light, with guides without noise; and what it should be, H x W x 3.
+
+    With samples, that tell nothing of it, for a model that requires some.
+    """
+    draw = Draw(31)
     y, x = np.mgrid[:SIZE, :SIZE]
     tile = (x // 12) + 8 * (y // 12)
     albedo = draw.between(0.1, 0.9, 64, 3)[tile]
@@ -30,6 +35,8 @@ def room(seed: int = 31) -> tuple[Buffers, NDArray[np.float64]]:
     normal = np.concatenate([turned, np.sqrt(1 - (turned**2).sum(-1, keepdims=True))], -1)
     made = {"color": truth * noise, "diffuse": truth * noise, "specular": np.zeros_like(truth)}
     made |= {"albedo": albedo, "diffuse.albedo": albedo, "normal": normal, "depth": (2.0 + tile % 5)[..., None]}
+    samples = cases.frame(SIZE, SIZE, 2) if "samples.descriptor" in manifest["requires"] else {}
+    made |= {name: values for name, values in samples.items() if name.startswith("samples.")}
     return {name: values.astype(np.float32) for name, values in made.items()}, truth
 
 
@@ -44,7 +51,7 @@ def quotient(subject: Subject, frame: Buffers, truth: NDArray[np.float64], spoil
 
 
 def silent_guides(subject: Subject, row: Row) -> None:
-    frame, _ = room()
+    frame, _ = room(subject.manifest)
     for names in (("albedo", "diffuse.albedo"), ("normal",), ("depth",)):
         right = subject.default.run_buffers({n: v for n, v in frame.items() if n not in names}).color
         for value in (0.0, 0.5, 1.0):
@@ -53,7 +60,7 @@ def silent_guides(subject: Subject, row: Row) -> None:
 
 
 def bright_albedo(subject: Subject, row: Row) -> None:
-    frame, _ = room()
+    frame, _ = room(subject.manifest)
     spoilt = {name: frame[name].copy() for name in ALBEDOS}
     for values in spoilt.values():
         values[30:60, 30:60] *= 96
@@ -63,14 +70,14 @@ def bright_albedo(subject: Subject, row: Row) -> None:
 
 
 def unknown_albedo(subject: Subject, row: Row) -> None:
-    frame, truth = room()
+    frame, truth = room(subject.manifest)
     bad = Draw(32).uniform(SIZE, SIZE) < 0.1
     spoilt = {name: np.where(bad[..., None], np.float32(math.nan), frame[name]) for name in ALBEDOS}
     row.error = quotient(subject, frame, truth, spoilt)
 
 
 def unrelated_albedo(subject: Subject, row: Row) -> None:
-    frame, truth = room()
+    frame, truth = room(subject.manifest)
     noise = frame["color"] / truth
     truth = np.full_like(truth, truth.mean())
     lit = (noise * truth).astype(np.float32)
@@ -80,13 +87,13 @@ def unrelated_albedo(subject: Subject, row: Row) -> None:
 
 
 def shifted_guides(subject: Subject, row: Row) -> None:
-    frame, truth = room()
+    frame, truth = room(subject.manifest)
     spoilt = {name: np.roll(frame[name], (2, 2), (0, 1)) for name in SHAPED}
     row.error, row.allowed = quotient(subject, frame, truth, spoilt), None
 
 
 def noisy_guides(subject: Subject, row: Row) -> None:
-    frame, truth = room()
+    frame, truth = room(subject.manifest)
     spoilt = {name: frame[name] * Draw(34).between(0.5, 1.5, SIZE, SIZE, 1).astype(np.float32) for name in SHAPED}
     spoilt |= {name: np.clip(spoilt[name], 0, 1) for name in ALBEDOS}
     row.error, row.allowed = quotient(subject, frame, truth, spoilt), None
