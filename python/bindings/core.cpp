@@ -2,20 +2,25 @@
 #include <algorithm>
 #include <atomic>
 #include <exception>
-#include <functional>
 #include <map>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
+
+#include <unistd.h>
 
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
 #include "descriptor.h"
+#include "interpreter.h"
 #include "pathfold/pathfold.hpp"
+#include "watched_run.h"
 
 namespace py = pybind11;
 
@@ -86,22 +91,24 @@ public:
                   const std::optional<double> &exposure, const py::object &progress, int samples_per_pixel) {
         if (exposure && !(*exposure > 0))
             invalid("exposure is " + std::to_string(*exposure) + "; it must be > 0, or None");
-        const Turn turn(*this);
+        Call call;
+        const Turn turn(*this, call);
         denoiser_.set("exposure", exposure.value_or(0));
         std::vector<py::array> kept;
         py::dict result = set_frame(buffers, layers, samples_per_pixel, kept);
-        const std::string report = run_released(progress);
-        denoiser_.clear();
+        const std::string report = run_watched(call, denoiser_, progress);
+        take_away();
         return py::make_tuple(result, parse_json(report));
     }
 
     /// What `run` would come to.
     Plan plan(const Arrays &buffers, const std::optional<Layers> &layers, int samples_per_pixel) {
-        const Turn turn(*this);
+        Call call;
+        const Turn turn(*this, call);
         std::vector<py::array> kept;
         const py::dict result = set_frame(buffers, layers, samples_per_pixel, kept);
         Plan plan{denoiser_.plan(), 0};
-        denoiser_.clear();
+        take_away();
         for (const auto &[name, array] : result)
             plan.result_bytes += py::reinterpret_borrow<py::array>(array).nbytes();
         return plan;
@@ -111,44 +118,84 @@ private:
     /// One thread's turn at the denoiser; a run from within its own progress callback would wait for itself.
     class Turn {
     public:
-        explicit Turn(Denoiser &denoiser) : denoiser_(denoiser), lock_(denoiser.turn_, std::defer_lock) {
+        Turn(Denoiser &denoiser, Call &call)
+            : denoiser_(denoiser), call_(call), lock_(denoiser.turn_, std::defer_lock) {
             if (denoiser.owner_ == std::this_thread::get_id())
                 invalid("this denoiser is running, and its progress callback asks it to run again; use "
                         "another Denoiser there");
-            py::gil_scoped_release release;
-            lock_.lock();
+            if (denoiser.owner_ != std::thread::id() && denoiser.process_ != getpid())
+                invalid("this denoiser was running when the process was forked; make another Denoiser here");
+            call.released([&] {
+                while (!lock_.try_lock_for(Call::interval)) {
+                    if (call.is_ending())
+                        return;
+                    call.taken(check_signals);
+                }
+            });
             denoiser.owner_ = std::this_thread::get_id();
+            denoiser.process_ = getpid();
+            call.let_go = [this] { end(); };
         }
-        ~Turn() { denoiser_.owner_ = std::thread::id(); }
+        ~Turn() {
+            call_.let_go = nullptr;
+            end();
+        }
+        Turn(const Turn &) = delete;
 
     private:
+        void end() {
+            denoiser_.owner_ = std::thread::id();
+            lock_.unlock();
+        }
+
         Denoiser &denoiser_;
-        std::unique_lock<std::mutex> lock_;
+        Call &call_;
+        std::unique_lock<std::timed_mutex> lock_;
     };
 
     /// Sets inputs and outputs; returns the latter. `kept` must live until the run is over.
     py::dict set_frame(const Arrays &buffers, const std::optional<Layers> &layers, int samples_per_pixel,
                        std::vector<py::array> &kept) {
-        denoiser_.clear();
+        take_away(); // what a frame that failed left
         denoiser_.set("samples_per_pixel", samples_per_pixel);
         const auto keep = [&](const py::object &object, const std::string &name) {
             kept.push_back(array_of(object, name));
             return view_of(kept.back(), name);
         };
         py::dict result;
-        for (const auto &[name, object] : buffers)
+        for (const auto &[name, object] : buffers) {
             denoiser_.input(name, keep(object, name));
+            inputs_.insert(name);
+        }
         for (const auto &[layer, parts] : layers.value_or(Layers()))
             set_layer(layer, parts, keep, result);
         set_outputs(buffers, keep, result);
         return result;
     }
 
+    /// Takes the frame away, but keeps the working memory for the next one.
+    void take_away() {
+        pathfold_denoiser *at = denoiser_.get();
+        for (const std::string &name : inputs_)
+            pathfold::check(pathfold_denoiser_set_input(at, name.c_str(), nullptr));
+        for (const std::string &name : outputs_)
+            pathfold::check(pathfold_denoiser_set_output(at, name.c_str(), nullptr));
+        for (const auto &[layer, part] : layers_) {
+            pathfold::check(pathfold_denoiser_set_layer_output(at, layer.c_str(), nullptr));
+            pathfold::check(pathfold_denoiser_set_layer(at, layer.c_str(), part.c_str(), nullptr));
+        }
+        inputs_.clear();
+        outputs_.clear();
+        layers_.clear();
+    }
+
     template <typename Keep>
     void set_layer(const std::string &layer, const Arrays &parts, const Keep &keep, py::dict &result) {
         pathfold_image view{};
-        for (const auto &[part, object] : parts)
+        for (const auto &[part, object] : parts) {
             denoiser_.layer(layer, part, view = keep(object, layer + "." + part));
+            layers_.emplace(layer, part);
+        }
         if (parts.empty())
             invalid("the layer " + layer + " is empty; give color, or diffuse and specular");
         result[py::str(layer)] = make_output(view);
@@ -168,6 +215,7 @@ private:
             const std::string like = buffers.count(name) > 0 ? name : "diffuse";
             result[py::str(name)] = make_output(keep(buffers.at(like), like));
             denoiser_.output(name, keep(result[py::str(name)], name));
+            outputs_.insert(name);
         }
     }
 
@@ -175,30 +223,19 @@ private:
         return py::array_t<float>(std::vector<py::ssize_t>{like.height, like.width, like.channels});
     }
 
-    /// Only False cancels: a callback that returns nothing goes on.
-    std::string run_released(const py::object &progress) {
-        std::function<bool(float)> call;
-        if (!progress.is_none())
-            call = [&](float done) {
-                py::gil_scoped_acquire acquire;
-                if (PyErr_CheckSignals() != 0)
-                    throw py::error_already_set();
-                return !progress(done).is(py::bool_(false));
-            };
-        py::gil_scoped_release release;
-        return denoiser_.run(call);
-    }
-
     pathfold::Denoiser denoiser_;
-    std::mutex turn_;
+    std::set<std::string> inputs_, outputs_;               // of the frame that is set
+    std::set<std::pair<std::string, std::string>> layers_; // likewise, and their parts
+    std::timed_mutex turn_;
     std::atomic<std::thread::id> owner_; // whose turn it is
+    std::atomic<pid_t> process_{0};      // in which process
 };
 
 float auto_exposure(const py::array &color) {
     const pathfold_image view = view_of(color, "color");
     float exposure = 0;
-    py::gil_scoped_release release;
-    pathfold::check(pathfold_auto_exposure(&view, &exposure));
+    Call call;
+    call.released([&] { pathfold::check(pathfold_auto_exposure(&view, &exposure)); });
     return exposure;
 }
 
@@ -214,8 +251,8 @@ py::array_t<float> gather(const py::array &image, const py::array_t<float, py::a
                 " taps; it must be the square of an odd number");
     py::array_t<float> result(std::vector<py::ssize_t>{view.height, view.width, view.channels});
     const pathfold_image output = view_of(result, "result");
-    py::gil_scoped_release release;
-    pathfold::check(pathfold_gather(&view, logits.data(), size, &output));
+    Call call;
+    call.released([&] { pathfold::check(pathfold_gather(&view, logits.data(), size, &output)); });
     return result;
 }
 
@@ -235,8 +272,8 @@ void translate(std::exception_ptr pointer) {
 
 pathfold::Model load_model(const std::string &folder, const std::string &provider, int threads,
                            const std::string &precision) {
-    py::gil_scoped_release release;
-    return pathfold::Model(folder, {provider, precision, threads});
+    Call call;
+    return call.released([&] { return pathfold::Model(folder, {provider, precision, threads}); });
 }
 
 auto manifest_entry(const char *key) {
@@ -289,11 +326,12 @@ PYBIND11_MODULE(_core, module) {
              "Denoises one frame. buffers: name to array, height x width x channels (samples in front for "
              "samples.*), float32 or float16, any strides, not copied. layers: name to {\"color\": array} or "
              "{\"diffuse\": array, \"specular\": array}. progress is called with the part done and returns "
-             "False to cancel. Returns (name to float32 array, report).")
+             "False, 0 or the like to cancel, None to go on. Returns (name to float32 array, report).")
         .def("plan", &Denoiser::plan, py::arg("buffers"), py::kw_only(), py::arg("layers") = py::none(),
              py::arg("samples_per_pixel") = 0, "What a run of these would come to, by their sizes.");
 
     bind_descriptor(module);
+    watch_interpreter();
     module.def("version", &pathfold::version, "The version of the SDK.");
     module.def("set_onnxruntime", &pathfold::set_onnxruntime, py::arg("path"),
                "Names the onnxruntime library to load, before the first model.");

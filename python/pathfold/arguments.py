@@ -25,6 +25,11 @@ def named_buffers(samples: Mapping[str, Array] | None = None, **keywords: Array 
 
 def as_array(name: str, value: Array) -> NDArray[Any]:
     """A float32 or float16 NumPy view of anything array-like on the host, copied where no view exists."""
+    if np.ma.is_masked(value):
+        raise failure(
+            "invalid-argument",
+            f"{name}: a masked array, whose mask would be lost; pass .filled(np.nan), which counts as not known",
+        )
     if not isinstance(value, np.ndarray):
         value = _from_foreign(name, value)
     if value.dtype in (np.float32, np.float16):
@@ -39,6 +44,8 @@ def as_array(name: str, value: Array) -> NDArray[Any]:
 
 def _from_foreign(name: str, value: Array) -> NDArray[Any]:
     try:
+        if hasattr(value, "resolve_neg"):  # torch hands a lazily negated tensor over without its sign
+            value = value.resolve_neg()
         if hasattr(value, "__dlpack__"):
             try:
                 return np.from_dlpack(value)
@@ -50,7 +57,7 @@ def _from_foreign(name: str, value: Array) -> NDArray[Any]:
             "invalid-argument",
             f"{name}: {kind(value)} cannot be read as a host array "
             f"({str(error).splitlines()[0] if str(error) else type(error).__name__}); "
-            "pass NumPy, or torch after .detach().cpu()",
+            "pass NumPy, or torch after .detach().cpu().float()",
         ) from error
 
 

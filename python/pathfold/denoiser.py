@@ -26,7 +26,7 @@ from pathfold.arguments import (
     whole,
 )
 
-Progress = Callable[[float], bool | None]
+Progress = Callable[[float], object]  # what is false cancels, but for None
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,10 @@ class Denoiser:
         `layers`: AOVs to filter alike, {"key light": {"color": ...}} or {..: {"diffuse": ..., "specular":
         ...}}. Give `diffuse`, `specular` and `diffuse_albedo` to models that
         filter the two apart (the kpcn ones), else `color`.
-        `exposure` replaces the automatic factor; `progress` gets the fraction done and returns False to
-        cancel. Raises PathfoldError that names the buffer, what was given and what would be right.
+        `exposure` replaces the automatic factor; `progress` gets the fraction done, on this thread, and returns
+        False (0, np.False_) to cancel, anything else or None to go on. Ctrl-C ends a run soon, with or without it.
+        Threads that share a Denoiser take turns. Raises PathfoldError that names the buffer, what was given and what
+        would be right.
         """
         named = named_buffers(
             samples,
@@ -170,7 +172,7 @@ class Denoiser:
             layers=extra,
             samples_per_pixel=count,
             exposure=exposure,
-            progress=None if progress is None else lambda done: progress(done) is not False,
+            progress=progress,
         )
         kept = {name: images.pop(name, None) for name in ("alpha", "diffuse", "specular")}
         return Result(color=images.pop("color"), **kept, layers=images, report=report)

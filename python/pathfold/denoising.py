@@ -48,7 +48,8 @@ def denoise(
         for name in ("provider", "precision", "leave_out"):
             check_name(name, options[name])
         options["threads"] = whole("threads", threads, "a whole number, 0 for all cores")
-        model = _denoiser(models.find(models.DEFAULT if model is None else model).resolve(), **options)
+        folder = models.find(models.DEFAULT if model is None else model).resolve()
+        model = _denoiser(folder, os.getpid(), **options)
     return model.run(color, **buffers).color
 
 
@@ -73,5 +74,6 @@ def _denoise_within(
 
 
 @lru_cache(maxsize=4)
-def _denoiser(folder: Path, **options: Any) -> Denoiser:
+def _denoiser(folder: Path, process: int, **options: Any) -> Denoiser:
+    """`process`: what a fork has inherited may have been running in the parent."""
     return Denoiser(folder, **options)

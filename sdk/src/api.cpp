@@ -1,3 +1,4 @@
+#include <atomic>
 #include <cstring>
 #include <memory>
 #include <new>
@@ -11,6 +12,7 @@
 #include "model.h"
 #include "pathfold/pathfold.h"
 #include "prepare.h"
+#include "process.h"
 #include "radiance.h"
 #include "reads.h"
 #include "reconstruct.h"
@@ -22,10 +24,16 @@ struct pathfold_model {
 };
 
 struct pathfold_denoiser {
+    enum Use { none, call, released };
+
     Denoiser denoiser;
     Frame frame;
     Settings settings;
     std::string report = "{}";
+    mutable std::atomic<Use> use{none};
+    mutable Process user; // the process of the call that uses it
+
+    explicit pathfold_denoiser(std::shared_ptr<const Model> model) : denoiser(std::move(model)) {}
 };
 
 namespace {
@@ -65,6 +73,34 @@ Pointer &given(Pointer *argument, const char *name) {
         fail(PATHFOLD_INVALID_ARGUMENT, name, " is a null pointer");
     return *argument;
 }
+
+/// One call's use of a denoiser: all others are refused meanwhile, from whatever thread, a run's own callback
+/// included. Where the denoiser is given back meanwhile, it goes when the call is over.
+template <typename Handle>
+class Using {
+public:
+    explicit Using(Handle *denoiser) : at_(given(denoiser, "denoiser")) {
+        auto use = pathfold_denoiser::none;
+        if (!at_.use.compare_exchange_strong(use, pathfold_denoiser::call))
+            fail(PATHFOLD_INVALID_ARGUMENT,
+                 at_.user.is_this()
+                     ? "the denoiser is running, or in another call; wait until that is over, or use another "
+                       "one"
+                     : "the denoiser was running when this process was forked; create another one here");
+        at_.user.become_this();
+    }
+    ~Using() {
+        auto use = pathfold_denoiser::call;
+        if (!at_.use.compare_exchange_strong(use, pathfold_denoiser::none))
+            delete &at_;
+    }
+    Using(const Using &) = delete;
+
+    Handle *operator->() const { return &at_; }
+
+private:
+    Handle &at_;
+};
 
 std::string given_text(const char *argument, const char *name) {
     given(argument, name);
@@ -182,76 +218,80 @@ pathfold_status pathfold_describe_path(const pathfold_path *path, int vertices, 
 pathfold_status pathfold_denoiser_create(const pathfold_model *model, pathfold_denoiser **denoiser) {
     return guarded([&] {
         given(denoiser, "denoiser");
-        *denoiser = new pathfold_denoiser{Denoiser(given(model, "model").model), {}, {}};
+        *denoiser = new pathfold_denoiser(given(model, "model").model);
     });
 }
 
-void pathfold_denoiser_release(pathfold_denoiser *denoiser) { delete denoiser; }
+void pathfold_denoiser_release(pathfold_denoiser *denoiser) {
+    if (denoiser != nullptr && denoiser->use.exchange(pathfold_denoiser::released) == pathfold_denoiser::none)
+        delete denoiser; // else the call that uses it does so
+}
 
 pathfold_status pathfold_denoiser_set_input(pathfold_denoiser *denoiser, const char *name,
                                             const pathfold_image *image) {
-    return guarded([&] { given(denoiser, "denoiser").frame.set_input(given_text(name, "name"), image); });
+    return guarded([&] { Using(denoiser)->frame.set_input(given_text(name, "name"), image); });
 }
 
 pathfold_status pathfold_denoiser_set_output(pathfold_denoiser *denoiser, const char *name,
                                              const pathfold_image *image) {
-    return guarded([&] { given(denoiser, "denoiser").frame.set_output(given_text(name, "name"), image); });
+    return guarded([&] { Using(denoiser)->frame.set_output(given_text(name, "name"), image); });
 }
 
 pathfold_status pathfold_denoiser_set_layer(pathfold_denoiser *denoiser, const char *layer, const char *part,
                                             const pathfold_image *image) {
     return guarded([&] {
-        given(denoiser, "denoiser")
-            .frame.set_layer(given_text(layer, "layer"), given_text(part, "part"), image);
+        Using(denoiser)->frame.set_layer(given_text(layer, "layer"), given_text(part, "part"), image);
     });
 }
 
 pathfold_status pathfold_denoiser_set_layer_output(pathfold_denoiser *denoiser, const char *layer,
                                                    const pathfold_image *image) {
-    return guarded(
-        [&] { given(denoiser, "denoiser").frame.set_layer_output(given_text(layer, "layer"), image); });
+    return guarded([&] { Using(denoiser)->frame.set_layer_output(given_text(layer, "layer"), image); });
 }
 
 int pathfold_denoiser_is_split(const pathfold_denoiser *denoiser) {
     bool split = false;
     const pathfold_status status = guarded([&] {
-        const pathfold_denoiser &at = given(denoiser, "denoiser");
-        split = decide_reads(at.frame, at.denoiser.model().manifest(), at.settings).split;
+        const Using at(denoiser);
+        split = decide_reads(at->frame, at->denoiser.model().manifest(), at->settings).split;
     });
     return status == PATHFOLD_OK && split ? 1 : 0;
 }
 
-void pathfold_denoiser_clear(pathfold_denoiser *denoiser) {
-    if (denoiser != nullptr)
-        denoiser->frame.clear();
-}
-
-pathfold_status pathfold_denoiser_set_number(pathfold_denoiser *denoiser, const char *name, double value) {
-    return guarded([&] { given(denoiser, "denoiser").settings.set_number(given_text(name, "name"), value); });
-}
-
-pathfold_status pathfold_denoiser_set_leave_out(pathfold_denoiser *denoiser, const char *names) {
+pathfold_status pathfold_denoiser_clear(pathfold_denoiser *denoiser) {
     return guarded([&] {
-        given(denoiser, "denoiser").settings.leave_out = parse_leave_out(given_text(names, "names"));
+        const Using at(denoiser);
+        at->frame.clear();
+        at->denoiser.forget();
     });
 }
 
-void pathfold_denoiser_set_progress(pathfold_denoiser *denoiser, pathfold_progress progress, void *user) {
-    if (denoiser == nullptr)
-        return;
-    if (progress == nullptr)
-        denoiser->settings.progress = nullptr;
-    else
-        denoiser->settings.progress = [=](float done) { return progress(user, done) != 0; };
+pathfold_status pathfold_denoiser_set_number(pathfold_denoiser *denoiser, const char *name, double value) {
+    return guarded([&] { Using(denoiser)->settings.set_number(given_text(name, "name"), value); });
+}
+
+pathfold_status pathfold_denoiser_set_leave_out(pathfold_denoiser *denoiser, const char *names) {
+    return guarded(
+        [&] { Using(denoiser)->settings.leave_out = parse_leave_out(given_text(names, "names")); });
+}
+
+pathfold_status pathfold_denoiser_set_progress(pathfold_denoiser *denoiser, pathfold_progress progress,
+                                               void *user) {
+    return guarded([&] {
+        const Using at(denoiser);
+        at->settings.progress = nullptr;
+        if (progress != nullptr)
+            at->settings.progress = [=](float done) { return progress(user, done) != 0; };
+    });
 }
 
 pathfold_status pathfold_denoiser_plan(const pathfold_denoiser *denoiser, pathfold_plan *plan) {
     return guarded([&] {
-        const pathfold_denoiser &at = given(denoiser, "denoiser");
+        const Using at(denoiser);
         pathfold_plan &result = given(plan, "plan");
         pathfold_plan known = pathfold_plan_init();
         copy_known(result, known, "plan");
-        const Plan found = at.denoiser.plan(at.frame, at.settings);
+        const Plan found = at->denoiser.plan(at->frame, at->settings);
         known.size = result.size;
         known.tile_width = found.tiles[0].core.width;
         known.tile_height = found.tiles[0].core.height;
@@ -266,14 +306,21 @@ pathfold_status pathfold_denoiser_plan(const pathfold_denoiser *denoiser, pathfo
 
 pathfold_status pathfold_denoiser_run(pathfold_denoiser *denoiser) {
     return guarded([&] {
-        pathfold_denoiser &at = given(denoiser, "denoiser");
-        at.report = "{}"; // where the run fails, that before says nothing of it
-        at.report = at.denoiser.run(at.frame, at.settings);
+        const Using at(denoiser);
+        at->report = "{}"; // where the run fails, that before says nothing of it
+        at->report = at->denoiser.run(at->frame, at->settings);
     });
 }
 
+void pathfold_denoiser_cancel(pathfold_denoiser *denoiser) {
+    if (denoiser != nullptr)
+        denoiser->denoiser.cancel();
+}
+
 const char *pathfold_denoiser_report(const pathfold_denoiser *denoiser) {
-    return denoiser != nullptr ? denoiser->report.c_str() : "{}";
+    const char *report = "{}";
+    (void)guarded([&] { report = Using(denoiser)->report.c_str(); });
+    return report;
 }
 
 pathfold_status pathfold_auto_exposure(const pathfold_image *color, float *exposure) {

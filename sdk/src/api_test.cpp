@@ -196,6 +196,112 @@ TEST(Api, ProgressAndCancel) {
     denoiser.run(); // usable again
 }
 
+TEST(Api, NothingChangesUnderARun) {
+    const Pixels color = noise(64, 64, 3, 1), small(16, 16, 3, 0.5f);
+    Pixels right(64, 64, 3), result(64, 64, 3, -1);
+    Denoiser denoiser{Model(model_folder("single-3"))};
+    denoiser.input("color", color.image()).output("color", right.image()).set("tile", 16).run();
+    denoiser.output("color", result.image());
+    const pathfold_image other = small.image();
+    pathfold_denoiser *at = denoiser.get();
+    pathfold_plan plan = pathfold_plan_init();
+    std::vector<pathfold_status> told;
+    const auto call = [&] {
+        told = {pathfold_denoiser_set_input(at, "color", &other),
+                pathfold_denoiser_set_input(at, "albedo", &other),
+                pathfold_denoiser_set_output(at, "color", nullptr),
+                pathfold_denoiser_set_layer(at, "key", "color", &other),
+                pathfold_denoiser_set_layer_output(at, "key", &other),
+                pathfold_denoiser_clear(at),
+                pathfold_denoiser_set_number(at, "tile", 0),
+                pathfold_denoiser_set_leave_out(at, "none"),
+                pathfold_denoiser_set_progress(at, nullptr, nullptr),
+                pathfold_denoiser_plan(at, &plan),
+                pathfold_denoiser_run(at)};
+        EXPECT_NE(std::string(pathfold_last_error()).find("the denoiser is running"), std::string::npos);
+        EXPECT_EQ(pathfold_denoiser_is_split(at), 0);
+        EXPECT_STREQ(pathfold_denoiser_report(at), "{}");
+    };
+    for (bool elsewhere : {false, true}) {
+        std::fill(result.values.begin(), result.values.end(), -1.0f);
+        int calls = 0;
+        denoiser.run([&](float) {
+            ++calls;
+            if (elsewhere)
+                std::thread(call).join();
+            else
+                call();
+            EXPECT_EQ(told, std::vector<pathfold_status>(told.size(), PATHFOLD_INVALID_ARGUMENT));
+            return true;
+        });
+        EXPECT_EQ(calls, 17);
+        EXPECT_EQ(result.values, right.values);
+    }
+}
+
+TEST(Api, ADenoiserThatRunsGoesAtItsEnd) {
+    const Pixels color = noise(64, 64, 3, 1);
+    Pixels right(64, 64, 3), result(64, 64, 3, -1);
+    const Model model(model_folder("single-3"));
+    Denoiser(model).input("color", color.image()).output("color", right.image()).run();
+    const pathfold_image input = color.image(), output = result.image();
+    pathfold_denoiser *denoiser = nullptr;
+    ASSERT_EQ(pathfold_denoiser_create(model.get(), &denoiser), PATHFOLD_OK);
+    ASSERT_EQ(pathfold_denoiser_set_input(denoiser, "color", &input), PATHFOLD_OK);
+    ASSERT_EQ(pathfold_denoiser_set_output(denoiser, "color", &output), PATHFOLD_OK);
+    const auto release = [](void *user, float done) {
+        if (done == 0)
+            pathfold_denoiser_release(*static_cast<pathfold_denoiser **>(user));
+        return 1;
+    };
+    ASSERT_EQ(pathfold_denoiser_set_progress(denoiser, release, &denoiser), PATHFOLD_OK);
+    EXPECT_EQ(pathfold_denoiser_run(denoiser), PATHFOLD_OK);
+    EXPECT_EQ(result.values, right.values);
+}
+
+TEST(Api, AnotherThreadCancels) {
+    const Pixels color = noise(64, 64, 3, 1);
+    const Pixels result(64, 64, 3);
+    Denoiser denoiser{Model(model_folder("single-3"))};
+    denoiser.input("color", color.image()).output("color", result.image()).set("tile", 16);
+    denoiser.cancel(); // nothing runs
+    pathfold_denoiser_cancel(nullptr);
+    int calls = 0;
+    const auto run = [&] {
+        denoiser.run([&](float) {
+            if (++calls == 3)
+                std::thread([&] { denoiser.cancel(); }).join();
+            return true;
+        });
+    };
+    EXPECT_NE(message_of(PATHFOLD_CANCELLED, run).find("cancelled"), std::string::npos);
+    EXPECT_EQ(calls, 3);
+    EXPECT_STREQ(pathfold_denoiser_report(denoiser.get()), "{}");
+    run(); // the next one is not
+    EXPECT_EQ(calls, 20);
+}
+
+TEST(Api, NamesWithAZeroByteAreRefused) {
+    const Pixels color = noise(8, 8, 3, 1);
+    const pathfold_image image = color.image();
+    Denoiser denoiser{Model(model_folder("single-3"))};
+    const std::string odd("a\0b", 3), folder = model_folder("single-3") + std::string("\0", 1);
+    const std::function<void()> calls[] = {[&] { denoiser.layer(odd, "color", image); },
+                                           [&] { denoiser.layer("a", odd, image); },
+                                           [&] { denoiser.layer_output(odd, image); },
+                                           [&] { denoiser.input(odd, image); },
+                                           [&] { denoiser.output(odd, image); },
+                                           [&] { denoiser.set(odd, 1); },
+                                           [&] { denoiser.leave_out(odd); },
+                                           [&] { Model model(folder); },
+                                           [&] { find_model("x", {odd}); },
+                                           [&] { find_model(odd); },
+                                           [&] { set_onnxruntime(odd); },
+                                           [&] { Model(model_folder("single-3"), {odd}); }};
+    for (const auto &call : calls)
+        EXPECT_NE(message_of(PATHFOLD_INVALID_ARGUMENT, call).find("zero byte"), std::string::npos);
+}
+
 TEST(Api, OneModelManyThreads) {
     const Model model(model_folder("single-3"), {"cpu", "auto", 1});
     const Pixels color = noise(32, 32, 3, 2);

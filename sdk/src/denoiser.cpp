@@ -147,7 +147,7 @@ void Denoiser::Run::embed() {
         tell_progress(told_); // it may cancel; tiles that need no network came before
         for (int64_t first = 0; first < spp; first += count) {
             session.run(packer_.samples(strip, first, std::min(count, spp - first)),
-                        {{"embedding", shape, sums.data()}});
+                        {{"embedding", shape, sums.data()}}, threads_.stop(), denoiser_.pool_);
             embedding.add(strip, sums.data());
         }
     }
@@ -161,7 +161,7 @@ void Denoiser::Run::filter(const Tile &tile, int branch) {
     const std::vector<Tensor> outputs =
         prediction.reset(model_.graph(graph).outputs, tile.window, std::max<int64_t>(1, reads_.samples));
     report_.times.pack += watch_.lap();
-    model_.session(graph).run(inputs, outputs);
+    model_.session(graph).run(inputs, outputs, threads_.stop(), denoiser_.pool_);
     report_.times.network += watch_.lap();
     filters_[size_t(branch)].apply(threads_, operator_, prediction, tile);
     report_.times.reconstruct += watch_.lap();
@@ -187,6 +187,7 @@ void Denoiser::Run::write(const Tile &tile) {
 
 void Denoiser::Run::tell_progress(float done) {
     told_ = done;
+    threads_.stop().check();
     if (settings_.progress && !settings_.progress(done))
         fail(PATHFOLD_CANCELLED, "cancelled by the progress callback");
 }
@@ -196,11 +197,29 @@ Denoiser::Denoiser(std::shared_ptr<const Model> model)
       operator_(make_operator(model_->manifest().reconstruction)) {}
 
 std::string Denoiser::run(const Frame &frame, const Settings &settings) {
+    threads_.stop().reset();
     frame.check();
     frame.check_data();
     const Reads reads = decide_reads(frame, model_->manifest(), settings);
     check_reads(frame, model_->manifest(), reads);
-    return Run(*this, frame, reads, settings).go();
+    const Plan plan = make_plan(frame, reads, *model_, *operator_, settings);
+    const int64_t needed = plan.window_bytes + plan.frame_bytes;
+    if (2 * needed < held_)
+        forget(); // a much larger frame came before
+    held_ = std::max(held_, needed);
+    pool_.start(memory_bound(plan));
+    std::string report = Run(*this, frame, reads, settings).go();
+    pool_.finish();
+    return report;
+}
+
+void Denoiser::forget() {
+    tensors_.clear();
+    embedding_ = Embedding();
+    prediction_ = Prediction();
+    operator_ = make_operator(model_->manifest().reconstruction);
+    pool_.release();
+    held_ = 0;
 }
 
 Plan Denoiser::plan(const Frame &frame, const Settings &settings) const {

@@ -10,6 +10,7 @@
 #include "pack.h"
 #include "parallel.h"
 #include "plan.h"
+#include "pool.h"
 #include "settings.h"
 
 namespace pathfold::core {
@@ -19,8 +20,15 @@ class Denoiser {
 public:
     explicit Denoiser(std::shared_ptr<const Model> model);
 
-    /// Denoises the frame into its outputs and returns the report, as JSON.
+    /// Denoises the frame into its outputs and returns the report, as JSON. Throws cancelled where the
+    /// progress callback or `cancel` said so.
     std::string run(const Frame &frame, const Settings &settings);
+
+    /// Ends the run that is going on, soon; from any thread.
+    void cancel() { threads_.stop().ask(); }
+
+    /// Gives the working memory back.
+    void forget();
 
     /// What a run of the frame would come to.
     Plan plan(const Frame &frame, const Settings &settings) const;
@@ -32,6 +40,8 @@ private:
 
     std::shared_ptr<const Model> model_;
     Threads threads_;
+    Pool pool_;                          // what networks work in
+    int64_t held_ = 0;                   // bytes of the largest plan since memory was given back
     TensorMemory tensors_;               // kept between tiles and frames
     Embedding embedding_;                // likewise
     Prediction prediction_;              // likewise

@@ -298,6 +298,33 @@ TEST(Denoiser, HalvesInAndOutInPlace) {
     expect_near(result, right, 1e-3);
 }
 
+TEST(Denoiser, AModelIsBoundedInMemory) {
+    Scene scene = Scene::color(64, 64);
+    expect_error(
+        PATHFOLD_OUT_OF_MEMORY, [&] { scene.denoise("greedy-3"); }, "running color.onnx", "more memory");
+    scene.denoise("single-3");
+}
+
+TEST(Denoiser, WorkingMemoryThatIsGivenBackDoesNotMatter) {
+    const Scene large = Scene::color(96, 80), small = Scene::color(12, 20);
+    const auto model = std::make_shared<const Model>(model_folder("pyramid"), "cpu", 2);
+    Denoiser denoiser(model);
+    const auto run = [&](const Scene &scene) {
+        Frame frame;
+        Pixels result(scene.height(), scene.width(), 3);
+        const pathfold_image color = scene.buffers.at("color").image(), output = result.image();
+        frame.set_input("color", &color);
+        frame.set_output("color", &output);
+        denoiser.run(frame, scene.settings);
+        return result.values;
+    };
+    const auto first = run(large), second = run(small); // the large one's memory goes
+    EXPECT_EQ(run(large), first);
+    denoiser.forget();
+    EXPECT_EQ(run(small), second);
+    EXPECT_EQ(run(large), first);
+}
+
 // Random bits in every buffer, radiance and guides alike: finite, the same in tiles.
 TEST(Denoiser, RandomBits) {
     for (unsigned seed = 0; seed < 12; ++seed) {

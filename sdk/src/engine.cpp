@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <iostream>
 #include <mutex>
 
 #include <dlfcn.h>
@@ -14,6 +16,7 @@
 #include <onnxruntime_c_api.h>
 
 #include "error.h"
+#include "process.h"
 
 namespace pathfold::core {
 namespace {
@@ -61,6 +64,43 @@ void *open_library(std::string &path) {
          "); install it (pip install onnxruntime) and name its library in PATHFOLD_ONNXRUNTIME");
 }
 
+/// How onnxruntime sees the pools of those that run; lives as long as its environment.
+struct PoolAllocator : OrtAllocator {
+    OrtMemoryInfo *info = nullptr;
+
+    explicit PoolAllocator(OrtMemoryInfo *of) : OrtAllocator(), info(of) {
+        version = ORT_API_VERSION;
+        Alloc = Reserve = [](OrtAllocator *, size_t bytes) { return Pool::allocate(bytes); };
+        Free = [](OrtAllocator *, void *memory) { Pool::free(memory); };
+        Info = [](const OrtAllocator *self) -> const OrtMemoryInfo * {
+            return static_cast<const PoolAllocator *>(self)->info;
+        };
+    }
+};
+
+void register_allocator(const OrtApi *api, OrtEnv *env) {
+    OrtMemoryInfo *info = nullptr;
+    check(api, api->CreateCpuMemoryInfo(OrtDeviceAllocator, OrtMemTypeDefault, &info), "describing memory");
+    check(api, api->RegisterAllocator(env, new PoolAllocator(info)), "starting onnxruntime");
+}
+
+/// Lets the child of a fork exit: onnxruntime, which keeps a thread of its own, would wait for it there. What
+/// was registered with atexit before onnxruntime was loaded is skipped in such a child.
+void skip_exit_of_children() {
+#ifdef __GLIBC__
+    static const Process loader;
+    on_exit(
+        [](int status, void *) {
+            if (loader.is_this())
+                return;
+            std::cout.flush();
+            std::fflush(nullptr);
+            _exit(status);
+        },
+        nullptr);
+#endif
+}
+
 Library load_library() {
     Library library{library_path};
     void *handle = open_library(library.path);
@@ -76,6 +116,8 @@ Library load_library() {
           library.api->CreateEnvWithCustomLogger(drop_log, nullptr, ORT_LOGGING_LEVEL_FATAL, "pathfold",
                                                  &library.env),
           "starting onnxruntime");
+    register_allocator(library.api, library.env);
+    skip_exit_of_children();
     return library;
 }
 
@@ -104,7 +146,8 @@ std::vector<std::string> offered_providers(const OrtApi *api) {
     std::vector<std::string> offered;
     for (int i = 0; i < count; ++i) {
         const std::string name = names[i];
-        offered.push_back(name.substr(0, name.find("ExecutionProvider")));
+        if (name != "AzureExecutionProvider") // it runs nothing here
+            offered.push_back(name.substr(0, name.find("ExecutionProvider")));
     }
     check(api, api->ReleaseAvailableProviders(names, count), "listing execution providers");
     return offered;
@@ -192,6 +235,23 @@ private:
     std::vector<OrtValue *> values_;
 };
 
+/// Of one run: lets another thread end it, between two of the graph's operators.
+class RunOptions {
+public:
+    explicit RunOptions(const OrtApi *api) : api_(api) {
+        check(api, api->CreateRunOptions(&options_), "run options");
+    }
+    ~RunOptions() { api_->ReleaseRunOptions(options_); }
+    RunOptions(const RunOptions &) = delete;
+
+    void terminate() const { api_->ReleaseStatus(api_->RunOptionsSetTerminate(options_)); }
+    const OrtRunOptions *get() const { return options_; }
+
+private:
+    const OrtApi *api_;
+    OrtRunOptions *options_ = nullptr;
+};
+
 } // namespace
 
 void set_onnxruntime(const std::string &path) {
@@ -219,11 +279,14 @@ bool is_faster_in_int8(const std::string &provider) {
 }
 
 struct Session::Handles {
+    Process process;
     const OrtApi *api = nullptr;
     OrtSessionOptions *options = nullptr;
     OrtSession *session = nullptr;
 
     ~Handles() {
+        if (!process.is_this())
+            return; // it would wait for threads that are not here
         if (session != nullptr)
             api->ReleaseSession(session);
         if (options != nullptr)
@@ -241,6 +304,8 @@ Session::Session(const void *model, size_t size, const std::string &name, const 
     check(api, api->SetIntraOpNumThreads(options, threads), "session options");
     check(api, api->SetSessionGraphOptimizationLevel(options, ORT_ENABLE_ALL), "session options");
     check(api, api->DisableMemPattern(options), "session options"); // halves the peak at no cost in time
+    // Its own arena would keep the most that it ever held, and double what it asks the system for.
+    check(api, api->AddSessionConfigEntry(options, "session.use_env_allocators", "1"), "session options");
     // Else idle threads of one session spin for the processors that another one, or the SDK, works on.
     check(api, api->AddSessionConfigEntry(options, "session.force_spinning_stop", "1"), "session options");
     append_provider(library, options, provider);
@@ -271,8 +336,12 @@ Session::Session(const void *model, size_t size, const std::string &name, const 
 Session::~Session() = default;
 Session::Session(Session &&) noexcept = default;
 
-void Session::run(const std::vector<Tensor> &inputs, const std::vector<Tensor> &outputs) const {
+void Session::run(const std::vector<Tensor> &inputs, const std::vector<Tensor> &outputs, Stop &stop,
+                  Pool &pool) const {
     const OrtApi *api = handles_->api;
+    const Pool::Use use(pool);
+    const RunOptions options(api);
+    const Stop::Halt halt(stop, [&] { options.terminate(); });
     Values values(api), results(api);
     std::vector<const char *> names, result_names;
     for (const Tensor &tensor : inputs) {
@@ -283,10 +352,19 @@ void Session::run(const std::vector<Tensor> &inputs, const std::vector<Tensor> &
         results.add(tensor);
         result_names.push_back(tensor.name.c_str());
     }
-    check(api,
-          api->Run(handles_->session, nullptr, names.data(), values.data(), names.size(), result_names.data(),
-                   result_names.size(), results.data()),
-          "running " + name_);
+    OrtStatus *status = api->Run(handles_->session, options.get(), names.data(), values.data(), names.size(),
+                                 result_names.data(), result_names.size(), results.data());
+    if (stop.asked()) {
+        api->ReleaseStatus(status); // null, or that it was told to end
+        stop.check();
+    }
+    if (status != nullptr && pool.refused()) {
+        api->ReleaseStatus(status);
+        fail(PATHFOLD_OUT_OF_MEMORY, "running ", name_,
+             ": it takes more memory than the plan of its tiles allows, ",
+             "or than there is; set memory_mb for smaller tiles, and trust the model no further");
+    }
+    check(api, status, "running " + name_);
 }
 
 } // namespace pathfold::core

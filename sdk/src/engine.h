@@ -6,6 +6,9 @@
 #include <string>
 #include <vector>
 
+#include "pool.h"
+#include "stop.h"
+
 namespace pathfold::core {
 
 /// A tensor in the caller's memory: row-major float32.
@@ -31,7 +34,8 @@ void set_onnxruntime(const std::string &path);
 /// measured.
 bool is_faster_in_int8(const std::string &provider);
 
-/// A network made ready to run, by onnxruntime loaded at run time. Immutable: threads may share it.
+/// A network made ready to run, by onnxruntime loaded at run time. Immutable: threads may share it. In the
+/// child of a fork it lacks its threads: it can only be destroyed, which gives nothing back there.
 class Session {
 public:
     /// `name` is what messages call the graph. Throws engine, not-found (no library), unsupported (provider).
@@ -43,8 +47,10 @@ public:
     const std::vector<Port> &inputs() const { return inputs_; }
     const std::vector<Port> &outputs() const { return outputs_; }
 
-    /// Runs the graph into `outputs`, whose memory the caller gives.
-    void run(const std::vector<Tensor> &inputs, const std::vector<Tensor> &outputs) const;
+    /// Runs the graph into `outputs`, whose memory the caller gives; what it works in is the pool's. Throws
+    /// engine, out-of-memory where it takes more than the pool's bound, cancelled.
+    void run(const std::vector<Tensor> &inputs, const std::vector<Tensor> &outputs, Stop &stop,
+             Pool &pool) const;
 
 private:
     struct Handles;

@@ -40,10 +40,12 @@ TEST(Engine, SaysItsPorts) {
 TEST(Engine, FailuresOfARunAreSaid) {
     const Session session = load("cpu");
     std::vector<float> values(1000);
+    Stop stop;
+    Pool pool;
     const std::vector<Tensor> inputs = {{"radiance", {1, 2, 4, 4}, values.data()},
                                         {"exposure", {1}, values.data()}};
     expect_error(
-        PATHFOLD_ENGINE, [&] { session.run(inputs, {{"logits", {1, 9, 4, 4}, values.data()}}); },
+        PATHFOLD_ENGINE, [&] { session.run(inputs, {{"logits", {1, 9, 4, 4}, values.data()}}, stop, pool); },
         "running color.onnx", "radiance");
 }
 

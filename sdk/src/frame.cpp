@@ -1,6 +1,8 @@
 #include "frame.h"
 
+#include <algorithm>
 #include <set>
+#include <utility>
 
 #include "buffers.h"
 #include "error.h"
@@ -71,8 +73,10 @@ void Frame::set_layer(const std::string &name, const std::string &part, const pa
     if (layer_parts.count(part) == 0)
         fail(PATHFOLD_INVALID_ARGUMENT, "the layer ", name, " has no part named \"", part,
              "\"; parts are: ", list(layer_parts));
-    if (image == nullptr)
-        fail(PATHFOLD_INVALID_ARGUMENT, "the layer ", name, ": image is a null pointer; give its ", part);
+    if (image == nullptr) {
+        layer(name).parts.erase(part);
+        return drop_empty_layers();
+    }
     const ImageView view(*image, name + "." + part);
     if (view.samples() != 1)
         fail(PATHFOLD_INVALID_ARGUMENT, name, ".", part, ": samples is ", view.samples(), "; a layer has 1");
@@ -84,6 +88,12 @@ void Frame::set_layer_output(const std::string &name, const pathfold_image *imag
     if (image != nullptr)
         view.expect_data("output " + name);
     layer(name).output = view;
+    drop_empty_layers();
+}
+
+void Frame::drop_empty_layers() {
+    const auto is_empty = [](const Layer &layer) { return layer.parts.empty() && layer.output.empty(); };
+    layers_.erase(std::remove_if(layers_.begin(), layers_.end(), is_empty), layers_.end());
 }
 
 void Frame::clear() {
@@ -117,6 +127,25 @@ void Frame::check_data() const {
     for (const Layer &layer : layers_)
         for (const auto &[part, view] : layer.parts)
             view.expect_data(layer.name + "." + part);
+    check_outputs();
+}
+
+void Frame::check_outputs() const {
+    std::vector<std::pair<std::string, const ImageView *>> all;
+    for (const auto &[name, view] : outputs_)
+        all.emplace_back(name, &view);
+    for (const Layer &layer : layers_)
+        if (!layer.output.empty())
+            all.emplace_back(layer.name, &layer.output);
+    for (size_t i = 0; i < all.size(); ++i) {
+        if (all[i].second->overlaps_itself())
+            fail(PATHFOLD_INVALID_ARGUMENT, "output ", all[i].first,
+                 ": its strides lay several values over one another; give each memory of its own");
+        for (size_t j = 0; j < i; ++j)
+            if (all[i].second->overlaps(*all[j].second))
+                fail(PATHFOLD_INVALID_ARGUMENT, "output ", all[i].first, " lies over output ", all[j].first,
+                     "; give it memory of its own");
+    }
 }
 
 void Frame::check_color() const {

@@ -29,7 +29,7 @@ public:
     /// Throws invalid-argument unless there is radiance, and the sizes of everything agree.
     void check() const;
 
-    /// Throws invalid-argument unless all pixels are there.
+    /// Throws invalid-argument unless all pixels are there, and each value of an output has bytes of its own.
     void check_data() const;
 
     bool has(const std::string &name) const { return inputs_.count(name) > 0; }
@@ -47,7 +47,9 @@ public:
 private:
     void check_color() const;
     void check_sizes() const;
+    void check_outputs() const;
     Layer &layer(const std::string &name);
+    void drop_empty_layers();
 
     std::map<std::string, ImageView> inputs_, outputs_;
     std::vector<Layer> layers_;

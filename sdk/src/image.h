@@ -32,8 +32,12 @@ public:
     /// Writes the same way; values beyond half's range are clamped to it.
     void store_row(int y, int x, int count, const float *values) const;
 
-    /// Whether the two views share memory.
+    /// Whether a byte belongs to both views, told by their strides: views that lie between each other's
+    /// pixels, as members of one struct do, share none.
     bool overlaps(const ImageView &other) const;
+
+    /// Whether two of the view's own values share a byte: a stride is 0, or too small.
+    bool overlaps_itself() const;
 
     /// "480 x 640 x 3", with samples in front where there is more than one.
     std::string size_text() const;

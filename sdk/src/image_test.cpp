@@ -1,5 +1,9 @@
 #include "image.h"
 
+#include <algorithm>
+#include <random>
+#include <set>
+
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -100,6 +104,102 @@ TEST(Image, Overlaps) {
     part.height = 1;
     EXPECT_TRUE(whole.overlaps(ImageView(part, "part")));
     EXPECT_FALSE(whole.overlaps(other));
+}
+
+namespace {
+
+/// A member of a struct of `size` bytes per pixel, `offset` bytes into it; rows may end in some more bytes.
+ImageView member(std::vector<char> &memory, int size, int offset, int channels, int padding = 0) {
+    pathfold_image image = pathfold_packed(memory.data() + offset, PATHFOLD_FLOAT32, 1, 7, 9, channels);
+    image.pixel_stride = size;
+    image.row_stride = 9 * size + padding;
+    return {image, "member"};
+}
+
+} // namespace
+
+TEST(Image, MembersOfAStructShareNoByte) {
+    for (int padding : {0, 4, 13}) {
+        std::vector<char> memory(7 * (9 * 32 + 16));
+        const ImageView color = member(memory, 32, 0, 3, padding),
+                        albedo = member(memory, 32, 12, 3, padding), late = member(memory, 32, 8, 3, padding),
+                        byte = member(memory, 32, 11, 1, padding);
+        EXPECT_FALSE(color.overlaps(albedo));
+        EXPECT_FALSE(albedo.overlaps(color));
+        EXPECT_TRUE(color.overlaps(late));
+        EXPECT_TRUE(late.overlaps(albedo));
+        EXPECT_TRUE(color.overlaps(byte)); // by one byte
+        EXPECT_TRUE(color.overlaps(color));
+    }
+}
+
+TEST(Image, OverlapsAreThoseOfBytes) {
+    std::mt19937 random(3);
+    const auto draw = [&](int least, int most) {
+        return std::uniform_int_distribution<int>(least, most)(random);
+    };
+    int overlapping = 0;
+    for (int trial = 0; trial < 4000; ++trial) {
+        static char memory[1 << 12];
+        std::vector<pathfold_image> images;
+        std::vector<std::multiset<const char *>> bytes(2);
+        for (std::multiset<const char *> &mine : bytes) {
+            pathfold_image image{memory + 2048 + draw(-40, 40),
+                                 draw(0, 1),
+                                 1,
+                                 draw(1, 4),
+                                 draw(1, 4),
+                                 draw(1, 3),
+                                 0,
+                                 draw(-60, 60),
+                                 draw(-20, 20),
+                                 draw(-8, 8)};
+            images.push_back(image);
+            for (int y = 0; y < image.height; ++y)
+                for (int x = 0; x < image.width; ++x)
+                    for (int c = 0; c < image.channels; ++c)
+                        for (int b = 0; b < (image.format == PATHFOLD_FLOAT16 ? 2 : 4); ++b)
+                            mine.insert(static_cast<char *>(image.data) + y * image.row_stride +
+                                        x * image.pixel_stride + c * image.channel_stride + b);
+        }
+        const ImageView a(images[0], "a"), b(images[1], "b");
+        const bool shared = std::any_of(bytes[0].begin(), bytes[0].end(),
+                                        [&](const char *byte) { return bytes[1].count(byte) > 0; });
+        const bool twice = std::any_of(bytes[0].begin(), bytes[0].end(),
+                                       [&](const char *byte) { return bytes[0].count(byte) > 1; });
+        ASSERT_EQ(a.overlaps(b), shared) << trial;
+        ASSERT_EQ(a.overlaps_itself(), twice) << trial;
+        overlapping += shared;
+    }
+    EXPECT_GT(overlapping, 400);
+    EXPECT_LT(overlapping, 3600);
+}
+
+TEST(Image, StridesBeyondMemoryAreRefused) {
+    float value = 0;
+    pathfold_image image = pathfold_packed(&value, PATHFOLD_FLOAT32, 1, 4, 4, 3);
+    for (int64_t stride : {INT64_MAX, INT64_MIN, INT64_MAX / 2, int64_t(1) << 47}) {
+        for (auto member :
+             {&pathfold_image::row_stride, &pathfold_image::pixel_stride, &pathfold_image::channel_stride}) {
+            pathfold_image wild = image;
+            wild.*member = stride;
+            expect_error(PATHFOLD_INVALID_ARGUMENT, [&] { ImageView(wild, "albedo"); }, "albedo", "stride");
+        }
+    }
+    image.row_stride = INT64_MAX;
+    image.height = 1; // of one row it does not matter
+    EXPECT_FALSE(ImageView(image, "albedo").empty());
+    image = pathfold_packed(reinterpret_cast<void *>(64), PATHFOLD_FLOAT32, 1, 4, 4, 3);
+    image.row_stride = -image.row_stride;
+    expect_error(
+        PATHFOLD_INVALID_ARGUMENT, [&] { ImageView(image, "albedo").expect_data("albedo"); },
+        "out of memory");
+}
+
+TEST(Image, SamplesThatWereForgottenAreNamed) {
+    float value = 0;
+    pathfold_image image = pathfold_packed(&value, PATHFOLD_FLOAT32, 0, 4, 4, 3);
+    expect_error(PATHFOLD_INVALID_ARGUMENT, [&] { ImageView(image, "color"); }, "color: samples is 0");
 }
 
 } // namespace pathfold::core

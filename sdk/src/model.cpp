@@ -7,9 +7,9 @@
 #include <sstream>
 
 #include <dlfcn.h>
-#include <oneapi/tbb/info.h>
 
 #include "error.h"
+#include "machine.h"
 #include "onnx_check.h"
 #include "sha256.h"
 
@@ -144,9 +144,10 @@ std::string find_model(const std::string &name, const std::vector<std::string> &
     places.insert(places.end(), folders.begin(), folders.end());
     if (const std::string installed = installed_models(); !installed.empty())
         places.push_back(installed);
-    const bool plain = !name.empty() && name.find('/') == std::string::npos && name[0] != '.';
+    const std::string last = name.substr(0, name.find_last_not_of('/') + 1); // a shell completes names so
+    const bool plain = !last.empty() && last.find('/') == std::string::npos && last[0] != '.';
     for (const std::string &place : places)
-        if (fs::path folder = fs::path(place) / name; plain && fs::exists(folder / "manifest.json", error))
+        if (fs::path folder = fs::path(place) / last; plain && fs::exists(folder / "manifest.json", error))
             return folder.string();
     fail(PATHFOLD_NOT_FOUND, "there is no model \"", name, "\"; models found: ", list(models_in(places)),
          " (looked in ", list(places), "); give one of these, a model folder, or set PATHFOLD_MODEL_PATH");
@@ -154,18 +155,41 @@ std::string find_model(const std::string &name, const std::vector<std::string> &
 
 Model::Model(const std::string &name, const std::string &provider, int threads,
              const std::string &precision) try
-    : folder_(find_model(name, {})), provider_(provider),
-      threads_(threads > 0 ? threads : oneapi::tbb::info::default_concurrency()),
+    : folder_(find_model(name, {})), provider_(provider), asked_threads_(threads),
+      threads_(threads > 0 ? std::min(threads, available_processors()) : available_processors()),
       manifest_(Manifest::parse(read_file(fs::path(folder_) / "manifest.json"))),
-      precision_(choose_precision(precision, manifest_, provider_)) {
-    const Variant own = precision_ == "fp32" ? Variant() : manifest_.variants.at(precision_);
-    for (const auto &[key, graph] : manifest_.graphs)
-        sessions_.emplace(key,
-                          load_graph(folder_, own.count(key) > 0 ? own.at(key) : graph, provider_, threads_));
+      precision_(choose_precision(precision, manifest_, provider_)), absolute_(fs::absolute(folder_)),
+      sessions_(load_sessions()) {
 } catch (const Error &error) {
     if (error.status() != PATHFOLD_INVALID_MODEL)
         throw;
     fail(PATHFOLD_INVALID_MODEL, "the model ", name, ": ", error.what()); // one of several may be meant
+}
+
+Model::Sessions Model::load_sessions() const {
+    Sessions sessions;
+    const Variant own = precision_ == "fp32" ? Variant() : manifest_.variants.at(precision_);
+    for (const auto &[key, graph] : manifest_.graphs)
+        sessions.emplace(
+            key, load_graph(absolute_, own.count(key) > 0 ? own.at(key) : graph, provider_, threads_));
+    return sessions;
+}
+
+const Session &Model::session(const std::string &graph) const {
+    if (!process_.is_this()) {
+        const std::lock_guard<std::mutex> lock(mutex_);
+        if (!process_.is_this()) {
+            try {
+                sessions_ = load_sessions();
+            } catch (const Error &error) {
+                fail(error.status(), "the model ", manifest_.name,
+                     ", loaded before this process was forked, ",
+                     "cannot be loaded anew here: ", error.what());
+            }
+            process_.become_this();
+        }
+    }
+    return sessions_.at(graph);
 }
 
 } // namespace pathfold::core

@@ -66,6 +66,7 @@ TEST(Model, IsFoundByName) {
     EXPECT_EQ(find_model(model_folder("single-3"), {}), model_folder("single-3"));
     setenv("PATHFOLD_MODEL_PATH", (std::string("/nowhere:") + TEST_MODELS).c_str(), 1);
     EXPECT_EQ(find_model("single-3", {}), model_folder("single-3"));
+    EXPECT_EQ(find_model("single-3/", {}), model_folder("single-3"));
     expect_error(PATHFOLD_NOT_FOUND, [] { find_model("double-3", {}); }, "double-3", "single-3", "split-5");
     expect_error(PATHFOLD_NOT_FOUND, [] { find_model("../models/single-3", {}); }, "../models/single-3");
     unsetenv("PATHFOLD_MODEL_PATH");

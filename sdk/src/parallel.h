@@ -1,8 +1,13 @@
 #pragma once
 
+#include <memory>
+
 #include <oneapi/tbb/blocked_range.h>
 #include <oneapi/tbb/parallel_for.h>
 #include <oneapi/tbb/task_arena.h>
+
+#include "process.h"
+#include "stop.h"
 
 #ifdef __SANITIZE_THREAD__
 #include <sanitizer/tsan_interface.h>
@@ -10,8 +15,36 @@
 
 namespace pathfold::core {
 
-/// The threads of one denoiser.
-using Threads = oneapi::tbb::task_arena;
+/// The threads of one denoiser, and what stops them.
+class Threads {
+public:
+    using Arena = oneapi::tbb::task_arena;
+
+    explicit Threads(int count = Arena::automatic) : arena_(std::make_unique<Arena>(count)) {}
+    ~Threads() {
+        if (!process_.is_this())
+            (void)arena_.release();
+    }
+    Threads(Threads &&) = delete;
+
+    Stop &stop() { return stop_; }
+
+    /// Whether TBB has workers here: in the child of a process that used it, it waits for some that are none.
+    static bool have_workers() {
+        static const Process first; // that used TBB
+        return first.is_this();
+    }
+
+    template <typename Body>
+    void execute(const Body &body) {
+        arena_->execute(body);
+    }
+
+private:
+    Process process_;
+    std::unique_ptr<Arena> arena_;
+    Stop stop_;
+};
 
 /// Tells ThreadSanitizer what TBB does, whose library it cannot look into: all that was written before a loop
 /// is seen by its blocks, and what these wrote by all that comes after. Between blocks of one loop it tells
@@ -31,19 +64,26 @@ struct Handover {
 #endif
 };
 
-/// Calls body(begin, end) for blocks of rows that make up [first, last), on all threads.
+/// Calls body(begin, end) for blocks of rows that make up [first, last), on all threads. Throws cancelled
+/// where these were stopped: not all rows are done then.
 template <typename Body>
 void for_row_blocks(Threads &threads, int first, int last, const Body &body) {
     using Rows = oneapi::tbb::blocked_range<int>;
+    if (!Threads::have_workers()) {
+        body(first, last);
+        return threads.stop().check();
+    }
     Handover::begin();
     threads.execute([&] {
         oneapi::tbb::parallel_for(Rows(first, last), [&](const Rows &rows) {
             Handover::enter();
-            body(rows.begin(), rows.end());
+            if (!threads.stop().asked())
+                body(rows.begin(), rows.end());
             Handover::leave();
         });
     });
     Handover::end();
+    threads.stop().check();
 }
 
 /// Calls body(row) for every row, on all threads.

@@ -82,4 +82,9 @@ Plan make_plan(const Frame &frame, const Reads &reads, const Model &model, const
     return plan;
 }
 
+int64_t memory_bound(const Plan &plan) {
+    constexpr int64_t times = 8, at_least = 256 * mebibyte; // the shipped models stay within
+    return times * plan.window_bytes + at_least;
+}
+
 } // namespace pathfold::core

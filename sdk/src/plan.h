@@ -25,4 +25,8 @@ struct Plan {
 Plan make_plan(const Frame &frame, const Reads &reads, const Model &model, const Operator &how,
                const Settings &settings);
 
+/// The bytes that a network may work in for a window of the plan: far more than one that makes sense takes,
+/// so that one which is not trusted fails instead of taking all that the machine has.
+int64_t memory_bound(const Plan &plan);
+
 } // namespace pathfold::core

@@ -60,6 +60,27 @@ TEST(Reads, OutputsApartFromGuides) {
         "lies over the buffer albedo");
 }
 
+TEST(Reads, OutputsBetweenTheGuidesOfAStruct) {
+    const Pixels pixels(4, 5, 8); // color, albedo, normal's first part
+    const auto member = [&](int offset) {
+        pathfold_image image = pixels.image();
+        image.data = const_cast<float *>(&pixels.values[size_t(offset)]);
+        image.channels = 3;
+        return image;
+    };
+    const pathfold_image color = member(0), albedo = member(3), late = member(2);
+    Frame frame;
+    frame.set_input("color", &color);
+    frame.set_input("albedo", &albedo);
+    frame.set_output("color", &color);
+    const auto check = [&] {
+        check_reads(frame, manifest_of("split-5"), decide_reads(frame, manifest_of("split-5"), {}));
+    };
+    check();
+    frame.set_output("color", &late);
+    expect_error(PATHFOLD_INVALID_ARGUMENT, check, "lies over the buffer albedo");
+}
+
 TEST(Reads, PartsOnlyOfASplitFrame) {
     Given given({"color"});
     const Pixels out(4, 5, 3);

@@ -112,9 +112,13 @@ Json describe_left_out(const Report &report, const Frame &frame, const Reads &re
     return lines;
 }
 
-Json describe_notes(const Frame &frame, const Reads &reads, const Manifest &manifest,
-                    const Settings &settings, const Prepared &prepared, const Plan &plan) {
+Json describe_notes(const Frame &frame, const Reads &reads, const Model &model, const Settings &settings,
+                    const Prepared &prepared, const Plan &plan) {
+    const Manifest &manifest = model.manifest();
     Json notes = prepared.notes;
+    if (model.asked_threads() > model.threads())
+        notes.push_back(text(model.asked_threads(), " threads were asked for; ", model.threads(),
+                             " ran, one for each processor that this process may use"));
     if (settings.leaves_out("paths") && !reads.without_paths && frame.has("samples.descriptor") &&
         manifest.without_paths == 0)
         notes.push_back("paths are not left out: the model's manifest does not say from how many samples per "
@@ -159,7 +163,7 @@ std::string Report::json(const Frame &frame, const Reads &reads, const Model &mo
         {"repaired", repaired},
         {"branches", branches},
         {"left_out", describe_left_out(*this, frame, reads, manifest, prepared, plan)},
-        {"notes", describe_notes(frame, reads, manifest, settings, prepared, plan)},
+        {"notes", describe_notes(frame, reads, model, settings, prepared, plan)},
         {"tiles", plan.tiles.size()},
         {"tile", {plan.tiles[0].core.width, plan.tiles[0].core.height}},
         {"ms",

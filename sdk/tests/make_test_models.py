@@ -169,6 +169,20 @@ def make_single(folder: Path, size: int, spread: float = 1.0, trust: bool = Fals
     write_model(folder, graphs, [branch], size, ["color"], [], trust)
 
 
+def make_greedy(folder: Path) -> None:
+    """single-3, but its logits wait for the sum of radiance doubled 20 times, which no memory holds."""
+    inputs = ["radiance", "exposure"]
+    network = make_graph(inputs, 9, seed=3)
+    last = network.graph.node.pop()
+    for step in range(20):
+        before = f"doubled.{step}" if step else "radiance"
+        network.graph.node.append(helper.make_node("Concat", [before, before], [f"doubled.{step + 1}"], axis=0))
+    network.graph.node.append(helper.make_node("ReduceSum", ["doubled.20"], ["all"], keepdims=0))
+    network.graph.node.append(helper.make_node("Add", [last.input[0], "all"], ["logits"]))
+    branch = {"name": "color", "graph": "color", "radiance": "color", "unsplit": True}
+    write_model(folder, {"color": (network, inputs)}, [branch], 3, ["color"], [])
+
+
 def make_split(folder: Path, size: int, samples: bool) -> None:
     """Two branches that read every buffer there is."""
     inputs = [name for name in BUFFERS if samples or not name.startswith("samples.")]
@@ -261,6 +275,7 @@ def main(root: Path) -> None:
     make_single(root / "trust-5", 5, spread=3.0, trust=True)
     make_single(root / "steep-5", 5, spread=1e5)
     make_single(root / "broken-3", 3, spread=np.inf)  # all logits are NaN
+    make_greedy(root / "greedy-3")
     make_pyramid(root / "pyramid")
     make_quantised(root / "quantised-3", 3)
     make_split(root / "split-5", 5, samples=False)

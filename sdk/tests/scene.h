@@ -103,7 +103,9 @@ inline std::vector<float> naive_logits(const std::string &model, const std::stri
         inputs.push_back({port.name, shape, input.data()});
     }
     std::vector<float> logits(size_t(taps) * height * width);
-    session.run(inputs, {{"logits", {1, taps, height, width}, logits.data()}});
+    Stop stop;
+    Pool pool;
+    session.run(inputs, {{"logits", {1, taps, height, width}, logits.data()}}, stop, pool);
     return logits;
 }
 

@@ -91,7 +91,8 @@ typedef struct pathfold_model_options {
                               for null): the faster one, which is int8 where the model has it, the provider is
                               "cpu" and the processor multiplies bytes (x86: VNNI; ARM: dot product). What is
                               filtered stays float32 in all of them */
-    int32_t threads;       /* to use; 0: all */
+    int32_t threads; /* to use, at most as many as the processors that affinity and control groups leave to
+                        this process; 0: that many */
 } pathfold_model_options;
 
 static inline pathfold_model_options pathfold_model_options_init(void) {
@@ -128,7 +129,7 @@ PATHFOLD_API const char *pathfold_model_precision(const pathfold_model *model);
 typedef enum pathfold_format { PATHFOLD_FLOAT32 = 0, PATHFOLD_FLOAT16 = 1 } pathfold_format;
 
 /* A view of the caller's pixels, never copied. Strides are in bytes, may be negative, and are taken as they
- * stand. Pixel images have samples = 1. */
+ * stand, within 2^48 bytes. Pixel images have samples = 1. */
 typedef struct pathfold_image {
     void *data;     /* first value of the first pixel; inputs are only read, and may be null until a run */
     int32_t format; /* a pathfold_format */
@@ -252,16 +253,24 @@ PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_describe_path(const path
 
 /* ---- Denoiser ----------------------------------------------------------------------------------------- */
 
-/* One model applied to frames; keeps its working memory between frames. One thread at a time. */
+/* One model applied to frames. It keeps the working memory of the last run for the next one; a frame that
+ * needs less than half of it gives it back first. One call at a time: while it runs,
+ * every other call on it, from the progress callback or another thread, is refused with
+ * PATHFOLD_INVALID_ARGUMENT and changes nothing; but for pathfold_denoiser_cancel and _release.
+ *
+ * After fork() a child can use what it inherits: networks are loaded anew from the model's folder by the
+ * first run, and what surrounds them works on one thread if the parent has denoised. A denoiser that was
+ * running says that it is lost; what is released in the child gives nothing back. See docs/integrating.md. */
 typedef struct pathfold_denoiser pathfold_denoiser;
 
-/* Called on the thread that runs, with the part done in [0, 1]; returning 0 cancels. */
+/* Called on the thread that runs, with the part done in [0, 1]; returning 0 cancels. It must not leave by an
+ * exception or longjmp. */
 typedef int (*pathfold_progress)(void *user, float done);
 
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_create(const pathfold_model *model,
                                                                         pathfold_denoiser **denoiser);
 
-/* Null is allowed. */
+/* Null is allowed. A denoiser that is running goes when its run is over, until when its pixels must live. */
 PATHFOLD_API void pathfold_denoiser_release(pathfold_denoiser *denoiser);
 
 /* Sets a buffer of the frame: "color", "diffuse", "specular", "diffuse.albedo", "albedo", "normal", "depth",
@@ -279,29 +288,32 @@ PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_input(pathf
                                                                            const pathfold_image *image);
 
 /* Sets where a result is written: "color", "diffuse", "specular" (where the frame is split) or "alpha".
- * It may be the very memory of the input of that name. A null image takes it away. */
+ * It may be the very memory of the radiance or alpha that is filtered, or lie between the pixels of other
+ * buffers, as a member of one struct; a run refuses outputs of which a byte belongs to another output, to
+ * another pixel of their own, or to a guide or samples that are read. A null image takes it away. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_output(pathfold_denoiser *denoiser,
                                                                             const char *name,
                                                                             const pathfold_image *image);
 
 /* Adds a layer (light group, AOV of radiance), filtered with the beauty's kernels so that layers still add
  * up to it. `part` is "color", or "diffuse" and "specular" in two calls; layers keep their sign. A single
- * layer that comes as "color" makes the whole frame use the one kernel that needs no split. */
+ * layer that comes as "color" makes the whole frame use the one kernel that needs no split. A null image
+ * takes the part away. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_layer(pathfold_denoiser *denoiser,
                                                                            const char *layer,
                                                                            const char *part,
                                                                            const pathfold_image *image);
 
-/* Sets where the filtered layer is written; as many channels as the layer has. */
+/* Sets where the filtered layer is written; as many channels as the layer has. A null image takes it away. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_layer_output(
     pathfold_denoiser *denoiser, const char *layer, const pathfold_image *image);
 
 /* 1 where the inputs and layers that are set make a split frame: each branch of the model gets radiance of
- * its own, and the outputs "diffuse" and "specular" can be had. Else 0. */
+ * its own, and the outputs "diffuse" and "specular" can be had. Else 0, also while it runs. */
 PATHFOLD_API int pathfold_denoiser_is_split(const pathfold_denoiser *denoiser);
 
-/* Takes all inputs, outputs and layers away; settings stay. */
-PATHFOLD_API void pathfold_denoiser_clear(pathfold_denoiser *denoiser);
+/* Takes all inputs, outputs and layers away, and gives the working memory back; settings stay. */
+PATHFOLD_API pathfold_status pathfold_denoiser_clear(pathfold_denoiser *denoiser);
 
 /* Sets a number by name:
  *   "exposure"   what radiance is multiplied with before a network sees it; 0 (default): from the image
@@ -324,8 +336,8 @@ PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_set_leave_out(p
                                                                                const char *names);
 
 /* Sets the progress callback; null takes it away. */
-PATHFOLD_API void pathfold_denoiser_set_progress(pathfold_denoiser *denoiser, pathfold_progress progress,
-                                                 void *user);
+PATHFOLD_API pathfold_status pathfold_denoiser_set_progress(pathfold_denoiser *denoiser,
+                                                            pathfold_progress progress, void *user);
 
 /* What a run comes to. A tile's window is the tile and its overlap: what a network sees at once. */
 typedef struct pathfold_plan {
@@ -355,14 +367,18 @@ PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_plan(const path
 /* Denoises the frame into the outputs that were set. Outputs are finite and lie between the least and largest
  * values around, so they are negative only where the input is. Where "color" is set beside diffuse and
  * specular, these are made to add up to it. PATHFOLD_INVALID_ARGUMENT: a buffer that the model requires is
- * missing, sizes differ, or an image has no data. PATHFOLD_CANCELLED: the callback said so; outputs are then
- * partly written. */
+ * missing, sizes differ, or an image has no data. PATHFOLD_CANCELLED: the callback or
+ * pathfold_denoiser_cancel said so; outputs are then partly written. */
 PATHFOLD_API PATHFOLD_MUST_USE pathfold_status pathfold_denoiser_run(pathfold_denoiser *denoiser);
+
+/* Ends the run that is going on, from any thread (not from a signal handler): it returns PATHFOLD_CANCELLED
+ * soon, in the middle of a tile too. Does nothing where none runs, and null is allowed. */
+PATHFOLD_API void pathfold_denoiser_cancel(pathfold_denoiser *denoiser);
 
 /* The report of the last run as JSON: what was used, what was left out and why, milliseconds per stage.
  * "sanitised" says by buffer what was wrong and, in brackets, what was made of it, in how many pixels:
- * {"albedo": {"above 1 (clamped)": 5120}}; "notes" are sentences. "{}" before the first run, and where the
- * last one failed. Valid until the next run. */
+ * {"albedo": {"above 1 (clamped)": 5120}}; "notes" are sentences. "{}" before the first run, while one is
+ * going on, and where the last one failed. Valid until the next run. */
 PATHFOLD_API const char *pathfold_denoiser_report(const pathfold_denoiser *denoiser);
 
 /* ---- Pieces, for tools and tests ---------------------------------------------------------------------- */

@@ -32,19 +32,27 @@ inline void check(pathfold_status status) {
         throw Error(status, pathfold_last_error());
 }
 
+/// A name as C takes it. Throws an Error where it holds a zero byte, at which C would end it.
+inline const char *c_name(const std::string &name) {
+    if (name.find('\0') != std::string::npos)
+        throw Error(PATHFOLD_INVALID_ARGUMENT,
+                    "the name \"" + std::string(name.c_str()) + "...\" holds a zero byte; give it without");
+    return name.c_str();
+}
+
 /// The version of the library.
 inline std::string version() { return pathfold_version(); }
 
 /// Names the onnxruntime library to load, before the first model.
-inline void set_onnxruntime(const std::string &path) { check(pathfold_set_onnxruntime(path.c_str())); }
+inline void set_onnxruntime(const std::string &path) { check(pathfold_set_onnxruntime(c_name(path))); }
 
 /// The folder of a model, by name or folder; see pathfold_find_model.
 inline std::string find_model(const std::string &name, const std::vector<std::string> &folders = {}) {
     std::vector<const char *> pointers;
     for (const std::string &folder : folders)
-        pointers.push_back(folder.c_str());
+        pointers.push_back(c_name(folder));
     const char *path = nullptr;
-    check(pathfold_find_model(name.c_str(), pointers.data(), pointers.size(), &path));
+    check(pathfold_find_model(c_name(name), pointers.data(), pointers.size(), &path));
     return path;
 }
 
@@ -81,11 +89,11 @@ public:
     /// `name`: a folder or the name of a model.
     explicit Model(const std::string &name, const ModelOptions &options = {}) {
         pathfold_model_options c = pathfold_model_options_init();
-        c.provider = options.provider.c_str();
-        c.precision = options.precision.c_str();
+        c.provider = c_name(options.provider);
+        c.precision = c_name(options.precision);
         c.threads = options.threads;
         pathfold_model *model = nullptr;
-        check(pathfold_model_load(name.c_str(), &c, &model));
+        check(pathfold_model_load(c_name(name), &c, &model));
         model_.reset(model, pathfold_model_release);
     }
 
@@ -98,7 +106,8 @@ private:
     std::shared_ptr<pathfold_model> model_;
 };
 
-/// One model applied to frames. Pixels that are set must live until run() is over. One thread at a time.
+/// One model applied to frames. Pixels that are set must live until run() is over. One call at a time: others
+/// are refused while it runs, see pathfold_denoiser.
 class Denoiser {
 public:
     explicit Denoiser(const Model &model) {
@@ -108,36 +117,36 @@ public:
     }
 
     Denoiser &input(const std::string &name, const Image &image) {
-        check(pathfold_denoiser_set_input(get(), name.c_str(), &image));
+        check(pathfold_denoiser_set_input(get(), c_name(name), &image));
         return *this;
     }
     Denoiser &output(const std::string &name, const Image &image) {
-        check(pathfold_denoiser_set_output(get(), name.c_str(), &image));
+        check(pathfold_denoiser_set_output(get(), c_name(name), &image));
         return *this;
     }
     /// A layer is given as the part "color", or as "diffuse" and "specular".
     Denoiser &layer(const std::string &name, const std::string &part, const Image &image) {
-        check(pathfold_denoiser_set_layer(get(), name.c_str(), part.c_str(), &image));
+        check(pathfold_denoiser_set_layer(get(), c_name(name), c_name(part), &image));
         return *this;
     }
     Denoiser &layer_output(const std::string &name, const Image &image) {
-        check(pathfold_denoiser_set_layer_output(get(), name.c_str(), &image));
+        check(pathfold_denoiser_set_layer_output(get(), c_name(name), &image));
         return *this;
     }
     /// "exposure", "memory_mb", "tile" or "samples_per_pixel"; see pathfold_denoiser_set_number.
     Denoiser &set(const std::string &name, double value) {
-        check(pathfold_denoiser_set_number(get(), name.c_str(), value));
+        check(pathfold_denoiser_set_number(get(), c_name(name), value));
         return *this;
     }
     /// "all", "none", or names; see pathfold_denoiser_set_leave_out.
     Denoiser &leave_out(const std::string &names) {
-        check(pathfold_denoiser_set_leave_out(get(), names.c_str()));
+        check(pathfold_denoiser_set_leave_out(get(), c_name(names)));
         return *this;
     }
     /// Whether the inputs that are set are split, so that "diffuse" and "specular" can be had.
     bool is_split() const { return pathfold_denoiser_is_split(get()) != 0; }
-    /// Takes inputs, outputs and layers away; settings stay.
-    void clear() { pathfold_denoiser_clear(get()); }
+    /// Takes inputs, outputs and layers away and gives the working memory back; settings stay.
+    void clear() { check(pathfold_denoiser_clear(get())); }
 
     /// What a run of what is set would come to, by sizes alone; see pathfold_denoiser_plan.
     pathfold_plan plan() const {
@@ -150,7 +159,7 @@ public:
     /// An exception from `progress` cancels and comes out of run().
     std::string run(const std::function<bool(float)> &progress = nullptr) {
         Caller caller{progress, nullptr};
-        pathfold_denoiser_set_progress(get(), progress ? &Caller::call : nullptr, &caller);
+        check(pathfold_denoiser_set_progress(get(), progress ? &Caller::call : nullptr, &caller));
         const pathfold_status status = pathfold_denoiser_run(get());
         pathfold_denoiser_set_progress(get(), nullptr, nullptr);
         if (caller.exception)
@@ -158,6 +167,9 @@ public:
         check(status);
         return pathfold_denoiser_report(get());
     }
+
+    /// Ends the run that is going on, from another thread; see pathfold_denoiser_cancel.
+    void cancel() { pathfold_denoiser_cancel(get()); }
 
     pathfold_denoiser *get() const { return denoiser_.get(); }
 
