@@ -13,6 +13,7 @@ import torch
 from pathfold.bench.measurement import Measurement
 from pathfold.check import check_model, references
 from pathfold.check.cases import CASES
+from pathfold.check.demodulation import flatten
 from pathfold.check.measure import relative_error, tolerance
 from pathfold.check.properties import Subject
 from pathfold.check.references import References
@@ -95,7 +96,7 @@ def adversarial(buffers: dict[str, np.ndarray], case: str) -> dict[str, np.ndarr
         for name in VARIANCES:
             buffers[name] *= 1e-12
     elif case == "black albedo":
-        buffers["diffuse.albedo"][:] = 0.0
+        buffers["diffuse.albedo"][1:] = 0.0  # in every pixel it would count as absent
     elif case == "densities":
         buffers["samples.density"] *= 30.0
     elif case == "dead paths":
@@ -106,6 +107,9 @@ def adversarial(buffers: dict[str, np.ndarray], case: str) -> dict[str, np.ndarr
 def torch_frame(task: Denoising, buffers: dict[str, np.ndarray], exposure: float) -> np.ndarray:
     """The chain in torch: the training code's own denoise on the same buffers."""
     images = [n for n in buffers if not n.startswith("samples.")]
+    light, albedo = (buffers[name].astype(np.float64) for name in ("diffuse", "diffuse.albedo"))
+    flat = flatten(albedo, light, np.isfinite(light).all(-1), DEMODULATION_EPSILON)
+    buffers = buffers | {"diffuse.albedo": flat.astype(np.float32)}
     inputs = {n: torch.from_numpy(buffers[n]).permute(2, 0, 1)[None] for n in images}
     for name in ("samples.descriptor", "samples.density"):
         inputs[name] = torch.from_numpy(buffers[name]).permute(0, 3, 1, 2)

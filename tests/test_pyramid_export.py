@@ -11,6 +11,7 @@ import onnxruntime
 import pytest
 import torch
 from pathfold.check import check_model
+from pathfold.check.demodulation import flatten
 from pathfold.check.measure import relative_error, tolerance
 from pathfold.denoiser import Denoiser
 from pathfold_training.fit.task import Denoising
@@ -18,7 +19,7 @@ from pathfold_training.fit.train import fit
 from pathfold_training.fit.warm_start import warm_start
 from pathfold_training.networks.batch import Batch
 from pathfold_training.networks.narrow import narrow, round_weights, widen
-from pathfold_training.networks.pathfold.unet import OPTIONAL
+from pathfold_training.networks.pathfold.unet import ALBEDO_EPSILON, OPTIONAL
 from pathfold_training.release.export import export
 from pyramid_models import CONFIG, Buffers, export_tiny, frame
 from training_data import write_data_set
@@ -53,6 +54,9 @@ def adversarial(buffers: Buffers, case: str) -> Buffers:
 def torch_frame(task: Denoising, buffers: Buffers, exposure: float) -> np.ndarray:
     """The chain in float64 torch: training's own denoise on the same buffers, absent ones as training has them."""
     height, width = buffers["color"].shape[:2]
+    if "albedo" in buffers:
+        light, albedo = (buffers[name].astype(np.float64) for name in ("color", "albedo"))
+        buffers = buffers | {"albedo": flatten(albedo, light, np.isfinite(light).all(-1), ALBEDO_EPSILON)}
     channels = {"color": 3, "variance": 3, "albedo": 3, "normal": 3, "depth": 1}
     inputs = {
         n: torch.from_numpy(buffers[n]).permute(2, 0, 1)[None] if n in buffers else torch.zeros(1, c, height, width)

@@ -40,6 +40,11 @@ def spoilt(buffers: Buffers, name: str, value: float, share: float = 0.1) -> Buf
     return buffers | {name: values}
 
 
+def notes_of(result: Result) -> list[str]:
+    """But for that on the light of these frames, which is random."""
+    return [note for note in result.report["notes"] if "does not explain the light" not in note]
+
+
 @pytest.mark.parametrize("name", ["albedo", "diffuse.albedo"])
 @pytest.mark.parametrize("kind", [np.float32, np.float16])
 def test_a_demodulator_above_1_is_1(tiny: Path, name: str, kind: type) -> None:
@@ -96,7 +101,7 @@ def test_a_constant_guide_is_none(tiny: Path, name: str, value: float) -> None:
         assert result.color.tobytes() == right.color.tobytes()
     shown = 0.0 if np.isnan(value) and name in ("normal", "depth") else value
     reason = "not finite in any pixel" if np.isnan(shown) else f"{shown:g} in every pixel"
-    assert result.report["notes"] == [f"{name} is {reason}: not used"]
+    assert notes_of(result) == [f"{name} is {reason}: not used"]
     assert name in result.report["inputs"]["unused"] and name not in result.report["inputs"]["missing"]
 
 
@@ -106,9 +111,9 @@ def test_parts_that_are_not_color_add_no_light(tiny: Path, share: float) -> None
     wrong = buffers | {name: buffers[name] * np.float32(share) for name in ("diffuse", "specular")}
     diffuse = np.minimum(wrong["diffuse"], buffers["color"])
     result = same_run(wrong, buffers | {"diffuse": diffuse, "specular": buffers["color"] - diffuse})
-    assert result.report["sanitised"] == told and "give parts that add up" in result.report["notes"][0]
+    assert result.report["sanitised"] == told and "give parts that add up" in notes_of(result)[0]
     np.testing.assert_allclose(result.diffuse + result.specular, result.color, rtol=1e-5)
-    assert not run(buffers).report["sanitised"] and not run(buffers).report["notes"]
+    assert not run(buffers).report["sanitised"] and not notes_of(run(buffers))
 
 
 def test_colours_outside_of_the_gamut_come_back(tiny: Path) -> None:
@@ -130,7 +135,7 @@ def test_encoded_normals_are_decoded(tiny: Path) -> None:
     for background in (0.0, 0.5):
         encoded = np.where(np.arange(HEIGHT)[:, None, None] < 9, background, 0.5 * normal + 0.5).astype(np.float32)
         result = run(frame() | {"normal": encoded})
-        assert result.report["notes"] == ["normal is stored as 0.5 n + 0.5: decoded"]
+        assert notes_of(result) == ["normal is stored as 0.5 n + 0.5: decoded"]
         np.testing.assert_allclose(result.color, run(frame() | {"normal": normal}).color, rtol=1e-3)
     assert is_encoded(encoded.astype(np.float64)) and not is_encoded(normal.astype(np.float64))
     assert says_nothing(encoded[:9].astype(np.float64), "normal")

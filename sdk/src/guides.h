@@ -3,6 +3,7 @@
 #include <map>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "frame.h"
@@ -23,6 +24,9 @@ public:
     /// Reads `count` pixels of row y from column x on, interleaved: finite, within the buffer's range,
     /// normals decoded.
     void load_row(const std::string &buffer, int y, int x, int count, float *out) const;
+
+    /// Puts planes in the place of a buffer's pixels.
+    void replace(const std::string &buffer, Planes planes) { rebuilt_[buffer] = std::move(planes); }
 
     /// Those that say nothing, the same everywhere or hardly known: the run does without them.
     const std::set<std::string> &silent() const { return silent_; }

@@ -43,7 +43,7 @@ struct Fed {
     void pack() {
         const Model model(model_folder("samples-5"), "cpu", 1);
         const Reads reads = decide_reads(frame, model.manifest(), settings);
-        const Guides guides(frame, reads, {}, threads);
+        Guides guides(frame, reads, {}, threads);
         const Prepared prepared = prepare(frame, reads, guides, 0.5f, 0.18f, threads);
         Packer packer(frame, reads, guides, prepared, model, threads, memory);
         packer.start(tile, Embedding());

@@ -7,6 +7,7 @@
 #include <map>
 #include <numeric>
 
+#include "demodulation.h"
 #include "error.h"
 #include "radiance.h"
 
@@ -90,19 +91,42 @@ double bright_level(const std::vector<Bin> &bins) {
 float within_floats(double factor) { return float(std::clamp(factor, 1e-37, 1e37)); }
 
 /// What the branch divides radiance by, at every pixel.
-Planes load_factor(const Guides &guides, const ActiveBranch &active, int height, int width,
+Planes load_factor(const Guides &guides, const std::string &buffer, float epsilon, int height, int width,
                    Threads &threads) {
-    if (active.factor.empty())
+    if (buffer.empty())
         return {};
     Planes factor(3, height, width);
     for_rows(threads, height, [&](int y) {
         std::vector<float> pixels(size_t(width) * 3);
-        guides.load_row(active.factor, y, 0, width, pixels.data());
+        guides.load_row(buffer, y, 0, width, pixels.data());
         for (int c = 0; c < 3; ++c)
             for (int x = 0; x < width; ++x)
-                factor.row(c, y)[x] = pixels[size_t(x) * 3 + c] + active.branch->epsilon;
+                factor.row(c, y)[x] = pixels[size_t(x) * 3 + c] + epsilon;
     });
     return factor;
+}
+
+/// Radiance is filtered undivided where its albedo does not explain it: that is flattened there.
+void flatten_factors(const Frame &frame, const Reads &reads, Guides &guides, Prepared &prepared,
+                     Threads &threads) {
+    const int height = frame.height(), width = frame.width();
+    for (size_t i = 0; i < reads.branches.size(); ++i) {
+        const ActiveBranch &active = reads.branches[i];
+        if (active.factor.empty())
+            continue;
+        const Doubts doubts =
+            find_doubts(prepared.factors[i], prepared.signals[i].values, prepared.valid, threads);
+        if (!doubts.any())
+            continue;
+        Planes albedo = load_factor(guides, active.factor, 0, height, width, threads);
+        const int64_t pixels = flatten(albedo, doubts, active.branch->epsilon, threads);
+        guides.replace(active.factor, std::move(albedo));
+        prepared.factors[i] =
+            load_factor(guides, active.factor, active.branch->epsilon, height, width, threads);
+        if (pixels > 0)
+            prepared.notes.push_back(text(active.factor, " does not explain the light in ", pixels,
+                                          " pixels: it was filtered undivided there"));
+    }
 }
 
 /// Where a split frame has a color too, its parts must add up to it. A color that is 0 everywhere says
@@ -137,7 +161,8 @@ void add_branches(const Frame &frame, const Reads &reads, const Guides &guides, 
         sanitise_radiance(radiance, name, prepared.valid, threads, prepared.mended);
     for (const ActiveBranch &active : reads.branches) {
         const int index = int(prepared.factors.size());
-        prepared.factors.push_back(load_factor(guides, active, frame.height(), frame.width(), threads));
+        prepared.factors.push_back(load_factor(guides, active.factor, active.branch->epsilon, frame.height(),
+                                               frame.width(), threads));
         Planes radiance = std::move(parts.at(active.parts[0]));
         for (size_t i = 1; i < active.parts.size(); ++i)
             add(radiance, parts.at(active.parts[i]), threads);
@@ -246,8 +271,8 @@ float auto_exposure(const std::vector<const Planes *> &parts, const std::vector<
     return within_floats(key / std::exp2(logs / double(count)));
 }
 
-Prepared prepare(const Frame &frame, const Reads &reads, const Guides &guides, float exposure,
-                 float exposure_key, Threads &threads) {
+Prepared prepare(const Frame &frame, const Reads &reads, Guides &guides, float exposure, float exposure_key,
+                 Threads &threads) {
     Prepared prepared;
     prepared.mended = guides.mended();
     prepared.notes = guides.notes();
@@ -282,6 +307,7 @@ Prepared prepare(const Frame &frame, const Reads &reads, const Guides &guides, f
         const bool layer = i >= reads.branches.size();
         cap(prepared.signals[i], layer ? layers_least : -most, most, threads, prepared.mended);
     }
+    flatten_factors(frame, reads, guides, prepared, threads);
     return prepared;
 }
 

@@ -35,9 +35,10 @@ struct Prepared {
 float brightest_shown(float exposure);
 
 /// Reads and sanitises what will be filtered, and takes the frame's statistics. `exposure` 0: from the image,
-/// whose log-average then becomes `exposure_key`.
-Prepared prepare(const Frame &frame, const Reads &reads, const Guides &guides, float exposure,
-                 float exposure_key, Threads &threads);
+/// whose log-average then becomes `exposure_key`. An albedo that does not explain the light is flattened, in
+/// `guides` too.
+Prepared prepare(const Frame &frame, const Reads &reads, Guides &guides, float exposure, float exposure_key,
+                 Threads &threads);
 
 /// key / log-average luminance over bins of 16 x 16 pixels; pixels that are not valid do not count. The
 /// bright level is the largest mean of a bin without the brightest 64th of its pixels, the brightest 64th of

@@ -15,8 +15,8 @@ constexpr float infinity = std::numeric_limits<float>::infinity();
 Prepared run(const Frame &frame, const std::string &model, float exposure, Threads &threads) {
     const Manifest manifest = Manifest::parse(read_text(model_folder(model) + "/manifest.json"));
     const Reads reads = decide_reads(frame, manifest, {});
-    return prepare(frame, reads, Guides(frame, reads, manifest.requires_, threads), exposure,
-                   manifest.exposure_key, threads);
+    Guides guides(frame, reads, manifest.requires_, threads);
+    return prepare(frame, reads, guides, exposure, manifest.exposure_key, threads);
 }
 
 float exposure_of(const Pixels &color) {

@@ -44,6 +44,10 @@ struct Scene {
         for (const char *name : {"diffuse.albedo", "albedo", "alpha"})
             for (float &value : scene.buffers.at(name).values)
                 value = std::min(value, 1.0f);
+        Pixels &diffuse = scene.buffers.at("diffuse"); // light that goes with its albedo
+        const Pixels &albedo = scene.buffers.at("diffuse.albedo");
+        for (size_t i = 0; i < diffuse.values.size(); ++i)
+            diffuse.values[i] *= albedo.values[i] + 0.00316f;
         scene.settings.exposure = 0.5f;
         return scene;
     }

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pathfold._core import DEAD_LOG
 from pathfold.check.cases import LAYOUT, LOGS, Buffers
+from pathfold.check.demodulation import flatten
 from pathfold.check.guides import MEANINGS, clean, says_nothing
 
 Array = NDArray[np.float64]
@@ -68,6 +69,11 @@ def prepare(buffers: Buffers, manifest: dict[str, Any]) -> Prepared:
     cap = min(BRIGHTEST / min(exposure, 1), 1e32)
     shown = {name for name in double if reads(manifest, name)}
     depth_scale = find_depth_scale(clean(double["depth"], "depth")) if "depth" in shown else 1.0
+    factors = [branch.get("demodulate", {}).get("by") for branch in branches]
+    for branch, by, values in zip(branches, factors, radiance, strict=True):
+        if by in double:
+            albedo, epsilon = clean(double[by], by), branch["demodulate"]["epsilon"]
+            double[by] = flatten(albedo, np.clip(values, 0, cap), valid, epsilon)
     shared = guides(double, split) | samples(double, valid.shape)
     spp = shared["samples.valid"].shape[0] if "samples.descriptor" in double else 0
     embedded = manifest["samples_per_pixel"].get("embedded")
@@ -76,9 +82,8 @@ def prepare(buffers: Buffers, manifest: dict[str, Any]) -> Prepared:
     shared["split.present"] = np.array([float(split)])
     shared["paths.present"] = np.array([float("samples.descriptor" in double)])
     made = []
-    for branch, name, values in zip(branches, names, radiance, strict=True):
+    for branch, by, name, values in zip(branches, factors, names, radiance, strict=True):
         factor = np.ones_like(values)
-        by = branch.get("demodulate", {}).get("by")
         if by in double:
             factor = clean(double[by], by) + branch["demodulate"]["epsilon"]
         values = np.clip(values, -cap, cap)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pathfold import _core
-from pathfold.check import cases
+from pathfold.check import cases, demodulation
 from pathfold.check.cases import RADIANCE, Buffers, Draw
 from pathfold.check.measure import tolerance
 from pathfold.check.outcome import Row
@@ -107,6 +107,7 @@ def constants(subject: Subject, row: Row) -> None:
 @holds("bad pixel", "NaN in every buffer changes nothing beyond the receptive field, to the bit")
 def bad_pixel(subject: Subject, row: Row) -> None:
     reach, at = subject.manifest["tile"]["overlap"] + subject.manifest["reconstruction"].get("size", 1) // 2, 2
+    reach += demodulation.RADIUS
     clean = cases.frame(THICKNESS, at + reach + 1 + 16)
     clean["depth"][5, at] = 0  # a damaged depth counts as a miss and leaves the depth scale alone
     for buffers in (clean, transposed(clean)):
