@@ -17,7 +17,7 @@ public:
         : denoiser_(denoiser), frame_(frame), settings_(settings), model_(*denoiser.model_),
           manifest_(model_.manifest()), threads_(denoiser.threads_), operator_(*denoiser.operator_),
           guides_(frame, reads, manifest_.requires_, threads_),
-          reads_(without(frame, guides_.silent(), reads, manifest_, settings)),
+          reads_(settle(reads)),
           prepared_(prepare(frame, reads_, guides_, settings.exposure, manifest_.exposure_key, threads_)),
           packer_(frame, reads_, guides_, prepared_, model_, threads_, denoiser.tensors_),
           report_(reads_.branches.size()) {
@@ -42,6 +42,7 @@ public:
     }
 
 private:
+    Reads settle(const Reads &reads);
     std::vector<std::string> find_needs(const Tile &tile) const;
     void denoise(const Tile &tile, size_t index);
     void embed();
@@ -68,6 +69,17 @@ private:
     float told_ = 0;              // the progress
     bool embedded_ = false;       // the frame's samples, where the model does so
 };
+
+/// What the run reads without the guides that say nothing, and with what it reads in their stead.
+Reads Denoiser::Run::settle(const Reads &reads) {
+    for (Reads left = without(frame_, guides_.silent(), reads, manifest_, settings_);;) {
+        const size_t silent = guides_.silent().size();
+        guides_.look_at_all(left, manifest_.requires_, threads_);
+        if (guides_.silent().size() == silent)
+            return left;
+        left = without(frame_, guides_.silent(), reads, manifest_, settings_);
+    }
+}
 
 /// For each branch what it is left out of the tile for; empty where it has to run.
 std::vector<std::string> Denoiser::Run::find_needs(const Tile &tile) const {

@@ -215,8 +215,13 @@ const char *unknown_fault(const std::string &buffer) {
 Guides::Guides(const Frame &frame, const Reads &reads, const std::vector<std::string> &required,
                Threads &threads)
     : frame_(frame) {
+    look_at_all(reads, required, threads);
+}
+
+void Guides::look_at_all(const Reads &reads, const std::vector<std::string> &required, Threads &threads) {
     for (const std::string &buffer : reads.buffers)
-        if (find_guide(buffer) != nullptr || is_variance(buffer) || buffer == "alpha")
+        if ((find_guide(buffer) != nullptr || is_variance(buffer) || buffer == "alpha") &&
+            looked_at_.insert(buffer).second)
             look(buffer, std::count(required.begin(), required.end(), buffer) > 0, threads);
 }
 

@@ -21,6 +21,9 @@ public:
     Guides(const Frame &frame, const Reads &reads, const std::vector<std::string> &required,
            Threads &threads);
 
+    /// The same for what a run without the silent ones reads in their stead.
+    void look_at_all(const Reads &reads, const std::vector<std::string> &required, Threads &threads);
+
     /// Reads `count` pixels of row y from column x on, interleaved: finite, within the buffer's range,
     /// normals decoded.
     void load_row(const std::string &buffer, int y, int x, int count, float *out) const;
@@ -40,7 +43,7 @@ private:
     void rebuild(const std::string &buffer, Threads &threads);
 
     const Frame &frame_;
-    std::set<std::string> silent_;
+    std::set<std::string> looked_at_, silent_;
     std::map<std::string, Planes>
         rebuilt_;          ///< instead of the caller's pixels, where some come from neighbours
     bool encoded_ = false; ///< normals are 0.5 n + 0.5

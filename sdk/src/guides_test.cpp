@@ -235,6 +235,20 @@ TEST(Guides, AConstantGuideIsNone) {
         }
 }
 
+TEST(Guides, WhatIsReadInsteadOfASilentOneIsSetRight) {
+    Scene scene = Scene::full(40, 44), without = scene;
+    for (Scene *one : {&scene, &without}) {
+        one->buffers.emplace("color", sum(scene.buffers.at("diffuse"), scene.buffers.at("specular")));
+        one->buffers.emplace("variance", scene.buffers.at("specular.variance"));
+        one->buffers.at("variance").values[7] = nan;
+    }
+    scene.buffers.at("diffuse.albedo") = Pixels(40, 44, 3, 1.0f); // so variance is read after all
+    without.buffers.erase("diffuse.albedo");
+    EXPECT_EQ(scene.denoise("split-5").values, without.denoise("split-5").values);
+    EXPECT_EQ(scene.report["sanitised"], without.report["sanitised"]);
+    EXPECT_EQ(scene.report["repaired"], 0);
+}
+
 TEST(Guides, WithoutASplitItsPartsRideAlong) {
     Scene scene = Scene::full(40, 44);
     scene.buffers.at("diffuse.albedo") = Pixels(40, 44, 3);

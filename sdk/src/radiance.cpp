@@ -12,11 +12,22 @@ constexpr float nan = std::numeric_limits<float>::quiet_NaN(), largest = std::nu
 constexpr float out_of_gamut = 2;      // spectral colours reach about 1.1 in BT.709
 constexpr double rounding = 1.0 / 256; // of the parts' magnitudes: halves, and codecs that lose little
 
+/// The least that a component may be beside the pixel's largest: below it is no colour, but negative light.
+float least_component(const Planes &radiance, int y, int x) {
+    float most = 0;
+    for (int c = 0; c < radiance.channels(); ++c)
+        most = std::max(most, radiance.row(c, y)[x]);
+    return -out_of_gamut * most;
+}
+
 bool add_up(const Planes &color, const Planes &diffuse, const Planes &specular, int y, int x) {
+    const float least_diffuse = least_component(diffuse, y, x),
+                least_specular = least_component(specular, y, x);
     for (int c = 0; c < color.channels(); ++c) {
         const double whole = color.row(c, y)[x], one = diffuse.row(c, y)[x], other = specular.row(c, y)[x];
         const double slack = rounding * (std::abs(whole) + std::abs(one) + std::abs(other));
-        if (!(std::abs(one + other - whole) <= slack))
+        const bool light = one >= least_diffuse && other >= least_specular; // what is none becomes 0 later
+        if (!light || !(std::abs(one + other - whole) <= slack))
             return false;
     }
     return true;
@@ -52,12 +63,10 @@ void sanitise_radiance(Planes &radiance, const std::string &buffer, std::vector<
             usual = usual && all_within(radiance.row(c, y), size_t(width), 0, largest);
         for (int x = 0; x < width && !usual; ++x) {
             const bool known = !std::isnan(radiance.row(0, y)[x]);
-            float most = 0;
-            for (int c = 0; c < channels; ++c)
-                most = std::max(most, radiance.row(c, y)[x]);
+            const float least = least_component(radiance, y, x);
             bool below = false;
             for (int c = 0; c < channels; ++c)
-                if (float &value = radiance.row(c, y)[x]; !known || value < -out_of_gamut * most)
+                if (float &value = radiance.row(c, y)[x]; !known || value < least)
                     value = 0, below = true;
             valid[size_t(y) * width + x] &= uint8_t(known);
             masked += !known;

@@ -101,6 +101,8 @@ TEST(Radiance, PartsAreMadeToAddUp) {
         {1, 2.5f, 0, 1, 0},          // diffuse light counted twice
         {1, 0.75f, 0.5f, 0.75f, 0.25f},
         {1, -0.3f, 0, 0, 1},
+        {1, -0.8f, 1.8f, 0, 1}, // they add up, but light is not negative
+        {1, 1.5f, -0.5f, 1, 0},
         {1, nan, 0.5f, 0, 1}, // one is not known
         {1, 0.25f, nan, 0.25f, 0.75f},
         {-0.5f, 0.25f, 0.25f, 0, -0.5f}, // out of gamut

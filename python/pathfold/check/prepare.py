@@ -139,7 +139,8 @@ def parts_of(color: Array, diffuse: Array, specular: Array) -> dict[str, Array]:
     """Diffuse and specular, brought to add up to a color that is known where they do not."""
     with np.errstate(invalid="ignore", over="ignore"):
         slack = ROUNDING * (np.abs(color) + np.abs(diffuse) + np.abs(specular))
-        fits = np.isfinite(diffuse + specular) & (np.abs(diffuse + specular - color) <= slack)
+        light = (within_gamut(diffuse) == diffuse) & (within_gamut(specular) == specular)
+        fits = light & np.isfinite(diffuse + specular) & (np.abs(diffuse + specular - color) <= slack)
         apart = np.isfinite(color).all(-1) & ~np.all(fits, axis=-1)
         known = np.where(np.isfinite(diffuse).all(-1, keepdims=True), diffuse, 0)
         part = np.clip(known, np.minimum(color, 0), np.maximum(color, 0))
