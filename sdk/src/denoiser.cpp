@@ -16,8 +16,7 @@ public:
     Run(Denoiser &denoiser, const Frame &frame, const Reads &reads, const Settings &settings)
         : denoiser_(denoiser), frame_(frame), settings_(settings), model_(*denoiser.model_),
           manifest_(model_.manifest()), threads_(denoiser.threads_), operator_(*denoiser.operator_),
-          guides_(frame, reads, manifest_.requires_, threads_),
-          reads_(settle(reads)),
+          guides_(frame, reads, manifest_.requires_, threads_), reads_(settle(reads)),
           prepared_(prepare(frame, reads_, guides_, settings.exposure, manifest_.exposure_key, threads_)),
           packer_(frame, reads_, guides_, prepared_, model_, threads_, denoiser.tensors_),
           report_(reads_.branches.size()) {

@@ -20,8 +20,8 @@ void sanitise_radiance(Planes &radiance, const std::string &buffer, std::vector<
                        Threads &threads, Mended &mended);
 
 /// Makes diffuse and specular add up to color where they do not, beyond rounding, or where one of them is not
-/// known or negative light: diffuse is brought between 0 and color, specular becomes the rest. A color that is not known says
-/// nothing. Returns in how many pixels.
+/// known or negative light: diffuse is brought between 0 and color, specular becomes the rest. A color that
+/// is not known says nothing. Returns in how many pixels.
 int64_t make_parts_of(const Planes &color, Planes &diffuse, Planes &specular, Threads &threads,
                       Mended &mended);
 
