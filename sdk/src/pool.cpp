@@ -1,5 +1,6 @@
 #include "pool.h"
 
+#include <algorithm>
 #include <cstdlib>
 #include <new>
 
@@ -17,9 +18,13 @@ thread_local Pool *current = nullptr;
 
 /// What lies before the memory that is handed out.
 struct alignas(alignment) Pool::Block {
-    Pool *pool;     // null: of the heap
-    size_t size;    // with this
-    uint64_t frame; // that used it last
+    Pool *pool;            // null: of the heap
+    size_t size;           // with this
+    uint64_t frame;        // that used it last
+    Block *before, *after; // of the same region
+    bool is_free;
+
+    bool is_region() const { return before == nullptr && after == nullptr; }
 };
 
 void *Pool::allocate(size_t bytes) {
@@ -33,7 +38,7 @@ void *Pool::allocate(size_t bytes) {
         void *memory = std::aligned_alloc(alignment, (size + alignment - 1) / alignment * alignment);
         if (memory == nullptr)
             throw std::bad_alloc();
-        block = new (memory) Block{nullptr, size, 0};
+        block = new (memory) Block{nullptr, size, 0, nullptr, nullptr, false};
     }
     return block + 1;
 }
@@ -48,39 +53,87 @@ void Pool::free(void *memory) {
         std::free(block);
 }
 
-/// The smallest free block that is large enough, unless more than half of it would be wasted.
 Pool::Block *Pool::take(size_t bytes) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    auto found = free_.lower_bound(bytes);
-    if (found != free_.end() && found->first / 2 <= bytes) {
-        Block *block = found->second;
+    bytes = (bytes + alignment - 1) / alignment * alignment;
+    const auto found = free_.lower_bound({bytes, nullptr}); // the smallest that is large enough
+    Block *block = nullptr;
+    if (found != free_.end()) {
+        block = found->second;
         free_.erase(found);
-        block->frame = frame_;
-        return block;
+    } else {
+        block = map((bytes + page - 1) / page * page);
     }
-    const size_t size = (bytes + page - 1) / page * page;
-    const auto fits = [&] { return bytes_ <= bound_ && size <= size_t(bound_ - bytes_); };
-    while (!fits() && !free_.empty()) {
-        unmap(free_.begin()->second);
-        free_.erase(free_.begin());
-    }
+    cut(block, bytes);
+    block->is_free = false;
+    block->frame = frame_;
+    return block;
+}
+
+/// A new region.
+Pool::Block *Pool::map(size_t bytes) {
+    const auto fits = [&] { return bytes_ <= bound_ && bytes <= size_t(bound_ - bytes_); };
+    if (!fits())
+        unmap([](const Block &) { return true; });
     refused_ = refused_ || !fits();
-    void *memory =
-        fits() ? mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0) : MAP_FAILED;
+    void *memory = fits() ? mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0)
+                          : MAP_FAILED;
     if (memory == MAP_FAILED)
         throw std::bad_alloc();
-    bytes_ += int64_t(size);
-    return new (memory) Block{this, size, frame_};
+    bytes_ += int64_t(bytes);
+    return new (memory) Block{this, bytes, frame_, nullptr, nullptr, false};
+}
+
+/// Leaves what a block has beyond so many bytes as a free one, unless it is little.
+void Pool::cut(Block *block, size_t bytes) {
+    if (block->size - bytes < least_pooled)
+        return;
+    void *memory = reinterpret_cast<char *>(block) + bytes;
+    Block *rest = new (memory) Block{this, block->size - bytes, block->frame, block, block->after, true};
+    if (rest->after != nullptr)
+        rest->after->before = rest;
+    block->after = rest;
+    block->size = bytes;
+    free_.emplace(rest->size, rest);
+}
+
+/// Puts a block together with the one after it.
+void Pool::join(Block *block, Block *after) {
+    block->size += after->size;
+    block->frame = std::max(block->frame, after->frame);
+    block->after = after->after;
+    if (block->after != nullptr)
+        block->after->before = block;
 }
 
 void Pool::give_back(Block *block) {
     const std::lock_guard<std::mutex> lock(mutex_);
+    block->is_free = true;
+    if (Block *after = block->after; after != nullptr && after->is_free) {
+        free_.erase({after->size, after});
+        join(block, after);
+    }
+    if (Block *before = block->before; before != nullptr && before->is_free) {
+        free_.erase({before->size, before});
+        join(before, block);
+        block = before;
+    }
     free_.emplace(block->size, block);
 }
 
-void Pool::unmap(Block *block) {
-    bytes_ -= int64_t(block->size);
-    munmap(block, block->size);
+/// Gives regions back that are free as a whole and pass the test.
+template <typename Test>
+void Pool::unmap(const Test &test) {
+    for (auto at = free_.begin(); at != free_.end();) {
+        Block *block = at->second;
+        if (!block->is_region() || !test(*block)) {
+            ++at;
+            continue;
+        }
+        at = free_.erase(at);
+        bytes_ -= int64_t(block->size);
+        munmap(block, block->size);
+    }
 }
 
 void Pool::start(int64_t bound) {
@@ -92,22 +145,12 @@ void Pool::start(int64_t bound) {
 
 void Pool::finish() {
     const std::lock_guard<std::mutex> lock(mutex_);
-    for (auto at = free_.begin(); at != free_.end();) {
-        Block *block = at->second;
-        if (block->frame == frame_) {
-            ++at;
-            continue;
-        }
-        unmap(block);
-        at = free_.erase(at);
-    }
+    unmap([&](const Block &block) { return block.frame != frame_; });
 }
 
 void Pool::release() {
     const std::lock_guard<std::mutex> lock(mutex_);
-    for (const auto &[size, block] : free_)
-        unmap(block);
-    free_.clear();
+    unmap([](const Block &) { return true; });
 }
 
 int64_t Pool::bytes() const {

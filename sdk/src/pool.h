@@ -2,8 +2,9 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <map>
 #include <mutex>
+#include <set>
+#include <utility>
 
 namespace pathfold::core {
 
@@ -46,12 +47,18 @@ public:
 private:
     struct Block;
 
+    using Blocks = std::set<std::pair<size_t, Block *>>; // by their sizes
+
     Block *take(size_t bytes);
+    Block *map(size_t bytes);
+    void cut(Block *block, size_t bytes);
+    void join(Block *block, Block *after);
     void give_back(Block *block);
-    void unmap(Block *block);
+    template <typename Test>
+    void unmap(const Test &test);
 
     mutable std::mutex mutex_;
-    std::multimap<size_t, Block *> free_; // by their sizes
+    Blocks free_;
     int64_t bytes_ = 0, bound_ = INT64_MAX;
     uint64_t frame_ = 0;
     bool refused_ = false;

@@ -1,8 +1,11 @@
 #include "pool.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <new>
+#include <random>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "testing.h"
@@ -34,16 +37,46 @@ TEST(Pool, BlocksAreUsedAgain) {
     const int64_t held = pool.bytes();
     EXPECT_GE(held, int64_t(mebibyte));
     Pool::free(first);
-    EXPECT_EQ(Pool::allocate(mebibyte * 3 / 4), first); // fits
+    EXPECT_EQ(Pool::allocate(mebibyte / 2), first); // and the rest is cut off
+    void *rest = Pool::allocate(mebibyte / 4);
+    EXPECT_EQ(pool.bytes(), held);
+    Pool::free(first);
+    Pool::free(rest);
+    EXPECT_EQ(Pool::allocate(mebibyte), first); // put together again
+    EXPECT_EQ(pool.bytes(), held);
     void *second = Pool::allocate(mebibyte / 4);
     EXPECT_GT(pool.bytes(), held);
+    pool.release(); // not what is in use
+    Pool::free(second);
     Pool::free(first);
-    Pool::free(second);
-    EXPECT_EQ(Pool::allocate(mebibyte / 4), second);
-    void *small = Pool::allocate(mebibyte / 8); // the first is too large for it
-    EXPECT_NE(small, first);
-    Pool::free(second);
-    Pool::free(small);
+    pool.release();
+    EXPECT_EQ(pool.bytes(), 0);
+}
+
+// Blocks of any size, freed in any order: none lies over another, and all of it comes back.
+TEST(Pool, BlocksLieApart) {
+    Pool pool;
+    const Pool::Use use(pool);
+    std::mt19937 random(5);
+    std::vector<std::pair<unsigned char *, size_t>> blocks;
+    for (int step = 0; step < 2000; ++step) {
+        if (blocks.size() < 24 && random() % 3 != 0) {
+            const size_t bytes = 100 + random() % (random() % 2 != 0 ? mebibyte : mebibyte / 8);
+            blocks.emplace_back(static_cast<unsigned char *>(Pool::allocate(bytes)), bytes);
+            std::fill_n(blocks.back().first, bytes, static_cast<unsigned char>(bytes));
+        } else if (!blocks.empty()) {
+            std::swap(blocks[random() % blocks.size()], blocks.back());
+            const auto [memory, bytes] = blocks.back();
+            const auto value = static_cast<unsigned char>(bytes);
+            ASSERT_TRUE(
+                std::all_of(memory, memory + bytes, [&](unsigned char byte) { return byte == value; }));
+            Pool::free(memory);
+            blocks.pop_back();
+        }
+    }
+    for (const auto &[memory, bytes] : blocks)
+        Pool::free(memory);
+    EXPECT_GT(pool.bytes(), 0);
     pool.release();
     EXPECT_EQ(pool.bytes(), 0);
 }
@@ -53,12 +86,15 @@ TEST(Pool, WhatAFrameHasNotUsedIsGivenBack) {
     const Pool::Use use(pool);
     const auto frame = [&](size_t bytes) {
         pool.start(INT64_MAX);
-        void *memory = Pool::allocate(bytes);
+        void *memory = Pool::allocate(bytes), *little = Pool::allocate(mebibyte / 2);
         Pool::free(memory);
+        Pool::free(little);
         pool.finish();
         return pool.bytes();
     };
-    const int64_t large = frame(16 * mebibyte), small = frame(mebibyte);
+    const int64_t large = frame(16 * mebibyte);
+    pool.release(); // as a denoiser does before a much smaller frame
+    const int64_t small = frame(mebibyte);
     EXPECT_GE(large, int64_t(16 * mebibyte));
     EXPECT_GE(small, int64_t(mebibyte));
     EXPECT_LT(small, int64_t(2 * mebibyte));
