@@ -50,6 +50,14 @@ NAMED = {
     "diffuse_albedo": ([*RGB], "half", LIGHT),
     "crypto_asset00": ([*RGB], "half", LIGHT),
     "RenderLayer.Depth": ([""], "half", LIGHT),
+    "light_id": ([""], "half", LIGHT),
+    "lightMask": ([*RGB], "half", LIGHT),
+    "shadow_matte": ([*RGB], "half", LIGHT),
+    "worldPos": ([*"XYZ"], "half", LIGHT),
+    "surfacepoint": ([*RGB], "half", LIGHT),
+    "samplecount": ([""], "half", LIGHT),
+    "confidence": ([""], "half", LIGHT),
+    "albedo_variance": ([*RGB], "half", LIGHT),
 }
 
 
@@ -100,7 +108,9 @@ def test_the_header_says_what_is_a_cryptomatte(tiny: Path, tmp_path: Path, calle
     assert changed(source) == {*RGB, "key"}
 
 
-@pytest.mark.parametrize("layer", ["key", "diffuse_direct", "lgt_rim", "C_background"])
+@pytest.mark.parametrize(
+    "layer", ["key", "diffuse_direct", "lgt_rim", "C_background", "pointLight1", "specular_transmission"]
+)
 def test_light_is_filtered_whatever_its_type(tiny: Path, tmp_path: Path, layer: str) -> None:
     wide = LIGHT * [1, 1, -0.3]  # outside the gamut: its luminance is positive
     for pixels in (LIGHT, wide):

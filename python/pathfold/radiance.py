@@ -88,7 +88,7 @@ def _other(
     if guide := words.guide(name):
         return guide
     lit = words.light(name)
-    if words.data(name) and not lit:
+    if words.unlit(name):
         return "data by its name"
     kinds = {_kind(file, layer.part, number) for number in at}
     if any("int" in kind for kind in kinds):

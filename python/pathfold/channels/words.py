@@ -14,9 +14,13 @@ _GUIDES = {
 }
 # As whole words of a name, upper and lower case as written: single letters are common in names.
 _LETTERS = {"albedo": {"alb"}, "normal": {"N", "Nn", "Ns", "Ng"}, "depth": {"Z", "z"}, "variance": {"var"}}
+_NEVER_LIGHT = re.compile(  # whatever else the name says: "light id", "shadow matte"
+    r"position|\bpos\b|point$|motion|veloc|vector|crypto|mask|matte|\bids?\b|\buvs?\b|\bst\b|\bp(ref|z|world)?\b"
+    r"|samples|sample ?count|\bcount\b|heat|confidence",
+    re.IGNORECASE,
+)
 _DATA = re.compile(
-    r"position|motion|veloc|vector|crypto|mask|matte|\bids?\b|object|material|\buvs?\b|\bst\b|\bp(ref|z|world)?\b"
-    r"|facing|curvature|occlusion|\bao\b|wire|samples|\bcount\b|heatmap|tangent|coverage|opacity|alpha|\bhit",
+    r"object|material|facing|curvature|occlusion|\bao\b|wire|tangent|coverage|opacity|alpha|\bhit|fresnel",
     re.IGNORECASE,
 )
 _LIGHT = re.compile(
@@ -26,19 +30,32 @@ _LIGHT = re.compile(
 )
 
 
+# A guide of a part of the light is none of the picture; of diffuse reflection it may be.
+_PARTS = re.compile(r"spec|refl|refr|coat|sheen|transm|light|shadow|emis|emit|subsurf|\bsss\b|volum", re.IGNORECASE)
+
+
 @cache
 def guide(name: str) -> str | None:
-    """The guide (albedo, normal, depth, variance) that a layer of this name seems to be; None where it seems none."""
-    for buffer, pattern in _GUIDES.items():
-        if re.search(pattern, name, re.IGNORECASE) or _LETTERS[buffer] & set(_words(name)):
-            return buffer
-    return None
+    """The guide (albedo, normal, depth, variance) that a layer of this name seems to be; None where it seems none.
+
+    Nor is a guide's own variance, or what is a guide of a part of the light alone.
+    """
+    found = _guides(name)
+    return found[0] if len(found) == 1 and not _PARTS.search(name) else None
 
 
 @cache
 def data(name: str) -> bool:
     """Whether a layer of this name seems to hold what is no light: a guide, ids, positions ..."""
-    return guide(name) is not None or _known_guide(name) or bool(_DATA.search(" ".join(_words(name))))
+    text = " ".join(_words(name))
+    return bool(_guides(name) or _known_guide(name) or _NEVER_LIGHT.search(text) or _DATA.search(text))
+
+
+@cache
+def unlit(name: str) -> bool:
+    """Whether a layer of this name is rather data than light: where it says both, ids and the like stay data."""
+    certain = bool(_guides(name)) or bool(_NEVER_LIGHT.search(" ".join(_words(name))))
+    return certain or (data(name) and not light(name))
 
 
 @cache
@@ -53,6 +70,15 @@ def light(name: str) -> bool:
 def beauty(name: str) -> bool:
     """Whether some writer calls its beauty so."""
     return bool(name) and any(_fits(row, name) for row in _rows("color"))
+
+
+def _guides(name: str) -> list[str]:
+    words = set(_words(name))
+    return [
+        buffer
+        for buffer, pattern in _GUIDES.items()
+        if re.search(pattern, name, re.IGNORECASE) or _LETTERS[buffer] & words
+    ]
 
 
 def _known_guide(name: str) -> bool:

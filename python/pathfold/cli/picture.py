@@ -157,7 +157,7 @@ def _reason(picture: Picture, layer: Layer) -> str:
     guide = words.guide(layer.label)
     if guide and layer.pick(BUFFERS[guide]):
         return f"no known name, or another is used; {layer.mapped(guide)} would use it"
-    if not words.data(layer.label) and {"R", "G", "B"} <= set(layer.channels):
+    if not words.unlit(layer.label) and {"R", "G", "B"} <= set(layer.channels):
         return f"no buffer; --layer {quote(layer.option)} filters it alike, if it is light"
     return "no buffer; kept as it is"
 
