@@ -280,6 +280,8 @@ Prepared prepare(const Frame &frame, const Reads &reads, Guides &guides, float e
     prepared.valid.assign(size_t(frame.width()) * size_t(frame.height()), 1);
     const auto start = std::chrono::steady_clock::now();
     add_branches(frame, reads, guides, prepared, threads);
+    if (std::none_of(prepared.valid.begin(), prepared.valid.end(), [](uint8_t valid) { return valid != 0; }))
+        prepared.notes.push_back("no pixel's radiance is finite: the picture is black");
     if (reads.has("alpha")) {
         const auto unsplit = std::find_if(reads.branches.begin(), reads.branches.end(),
                                           [](const ActiveBranch &active) { return active.branch->unsplit; });

@@ -75,6 +75,17 @@ TEST(Radiance, WhatIsNotFiniteIsMasked) {
     EXPECT_EQ(sanitised.mended, (Mended{{"color", {{fault::rebuilt, 3}}}}));
 }
 
+TEST(Radiance, APictureThatIsNotKnownAnywhereIsBlackAndToldSo) {
+    Scene scene = Scene::color(16, 20);
+    Pixels &color = scene.buffers.at("color");
+    color = Pixels(16, 20, 3, nan);
+    EXPECT_EQ(scene.denoise("single-3").values, Pixels(16, 20, 3).values);
+    EXPECT_EQ(scene.report["notes"], Json::array({"no pixel's radiance is finite: the picture is black"}));
+    color.values[0] = color.values[1] = color.values[2] = 1; // known by one pixel
+    scene.denoise("single-3");
+    EXPECT_EQ(scene.report["notes"], Json::array());
+}
+
 TEST(Radiance, PartsThatAddUpStay) {
     Threads threads;
     Mended mended;
