@@ -128,26 +128,25 @@ def tables(rows: Sequence[pages.Row]) -> str:
 
 
 def beyond(rows: Sequence[pages.Row], names: Sequence[str]) -> list[str]:
-    """What is above ALLOWED, the worst first."""
-    found = [
-        (quotient, case, model, scene, spp)
-        for case in hostile.CASES
-        for model in names
-        for (scene, spp), quotient in quotients(rows, model, case).items()
-        if quotient > ALLOWED
-    ]
-    all_of_them = sum(len(row["errors"]) for row in rows)
-    lead = f"{len(found)} of {all_of_them} are above {ALLOWED:.2f}. What is here is left for training to mend:"
-    table = [["guides", "model", "scene", "spp", "quotient"]]
-    table += [[case, model, scene, str(spp), f"{q:.2f}"] for q, case, model, scene, spp in sorted(found, reverse=True)]
-    return [lead, markdown(table)] if found else [f"None of {all_of_them} is above {ALLOWED:.2f}."]
+    """The cases of which some frame is above ALLOWED, with the worst frame."""
+    table = [["guides", "model", f"above {ALLOWED:.2f}", "worst", "where"]]
+    for case in hostile.CASES:
+        for model in names:
+            found = quotients(rows, model, case)
+            many = sum(quotient > ALLOWED for quotient in found.values())
+            if many:
+                (scene, spp), worst = max(found.items(), key=lambda item: item[1])
+                table.append([case, model, f"{many} of {len(found)}", f"{worst:.2f}", f"{scene}, {spp} spp"])
+    return [f"What harms by more than {100 * ALLOWED - 100:.0f} %, for training to mend:", markdown(table)]
 
 
 PAGE = pages.Page(
     "guides",
     "Guides that are wrong",
     "RelL2 with spoilt guides over that without them: above 1 they harm. Pixels alone, without paths; of kpcn an "
-    "albedo is the diffuse one too, without which a frame is not split.",
+    "albedo is the diffuse one too, without which a frame is not split. Whether a guide is of the picture at all could "
+    "not be told from the frame: over cells of 8 x 8 pixels the rank correlation between the steps of a guide and of the "
+    "noisy light was down to 0.016 with the right guide at 2 spp, and up to 0.263 with one of another scene.",
     tables,
 )
 

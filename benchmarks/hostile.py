@@ -25,6 +25,7 @@ class Others:
     pinhole: Buffers | None  # of a camera without a lens, where there is such a scene
 
 
+GUIDES = {"albedo": ALBEDOS, "normal": ("normal",), "depth": ("depth",), "variance": VARIANCES}
 Case = Callable[[Buffers, Others], Buffers | None]  # the spoilt buffers alone; None: nothing to spoil
 CASES: dict[str, Case] = {}
 
@@ -36,6 +37,14 @@ def albedos(name: str) -> Callable[[Callable[[NDArray[Any], Buffers], NDArray[An
         CASES[name] = lambda frame, others: {n: spoil(frame[n], frame).astype(np.float32) for n in ALBEDOS}
 
     return add
+
+
+def as_it_is(buffers: tuple[str, ...]) -> Case:
+    return lambda frame, others: {name: frame[name] for name in buffers}
+
+
+for _what, _buffers in GUIDES.items():
+    CASES[f"{_what} as it is"] = as_it_is(_buffers)
 
 
 def constants(name: str, buffers: tuple[str, ...], value: float) -> None:
@@ -84,11 +93,12 @@ def with_light(albedo: NDArray[Any], frame: Buffers) -> NDArray[Any]:
     return albedo + frame["color"]
 
 
-@albedos("albedo 0 on misses")
-def black_misses(albedo: NDArray[Any], frame: Buffers) -> NDArray[Any]:
-    return np.clip(albedo - (1 - frame["alpha"]), 0, 1)
+def black_misses(frame: Buffers, others: Others) -> Buffers:
+    """As most renderers write it; the diffuse albedo is 0 there anyway."""
+    return {"albedo": np.clip(frame["albedo"] - (1 - frame["alpha"]), 0, 1)}
 
 
+CASES["albedo 0 on misses"] = black_misses
 constants("albedo 0", ALBEDOS, 0)
 constants("albedo 1", ALBEDOS, 1)
 constants("normal 0", ("normal",), 0)
@@ -104,7 +114,7 @@ CASES["shifted by 2 pixels"] = lambda frame, others: {n: np.roll(frame[n], (2, 2
 CASES["of one sample a pixel"] = lambda frame, others: {n: others.fewer[n] for n in SHAPED}
 CASES["of another scene"] = lambda frame, others: {n: others.foreign[n] for n in SHAPED}
 CASES["of a pinhole camera"] = lambda frame, others: others.pinhole and {n: others.pinhole[n] for n in SHAPED}
-for _what, _buffers in {"albedo": ALBEDOS, "normal": ("normal",), "depth": ("depth",), "variance": VARIANCES}.items():
+for _what, _buffers in GUIDES.items():
     for _share in (0.01, 0.1):
         CASES[f"{_what} NaN in {_share:.0%}"] = damage(_buffers, _share)
 
