@@ -145,8 +145,8 @@ PAGE = pages.Page(
     "Guides that are wrong",
     "RelL2 with spoilt guides over that without them: above 1 they harm. Pixels alone, without paths; of kpcn an "
     "albedo is the diffuse one too, without which a frame is not split. Whether a guide is of the picture at all could "
-    "not be told from the frame: over cells of 8 x 8 pixels the rank correlation between the steps of a guide and of the "
-    "noisy light was down to 0.016 with the right guide at 2 spp, and up to 0.263 with one of another scene.",
+    "not be told from the frame: over cells of 8 x 8 pixels the rank correlation between the steps of a guide and of "
+    "the noisy light was down to 0.016 with the right guide at 2 spp, and up to 0.263 with one of another scene.",
     tables,
 )
 
