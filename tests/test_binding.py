@@ -39,6 +39,7 @@ def make_buffers(seed: int = 0, samples: bool = False) -> dict[str, np.ndarray]:
     buffers |= {"normal": np.clip(noise(3) - 1, -1, 1), "depth": noise(1), "alpha": noise(1)}
     for name in ("diffuse.albedo", "albedo", "alpha"):
         buffers[name] = np.minimum(buffers[name], 1)
+    buffers["diffuse"] *= buffers["diffuse.albedo"]  # which explains the light, so it is divided by as it stands
     buffers["color"] = buffers["diffuse"] + buffers["specular"]
     if samples:
         buffers["samples.descriptor"] = rng.normal(0, 2, (S, H, W, 36)).astype(np.float16)

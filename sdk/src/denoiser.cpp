@@ -173,6 +173,8 @@ void Denoiser::Run::filter(const Tile &tile, int branch) {
         prediction.reset(model_.graph(graph).outputs, tile.window, std::max<int64_t>(1, reads_.samples));
     report_.times.pack += watch_.lap();
     model_.session(graph).run(inputs, outputs, threads_.stop(), denoiser_.pool_);
+    if (settings_.memory_mb > 0) // windows differ in size, and each would leave blocks of its own
+        denoiser_.pool_.release();
     report_.times.network += watch_.lap();
     filters_[size_t(branch)].apply(threads_, operator_, prediction, tile);
     report_.times.reconstruct += watch_.lap();
