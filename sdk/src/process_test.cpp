@@ -15,7 +15,7 @@ namespace pathfold::core {
 namespace {
 
 #ifdef __SANITIZE_THREAD__
-constexpr bool can_fork = false; // ThreadSanitizer ends a child that starts threads
+constexpr bool can_fork = false;
 #else
 constexpr bool can_fork = true;
 #endif
@@ -77,7 +77,7 @@ TEST(Process, IsTheOneThatMadeIt) {
 
 TEST(Process, AChildReleasesRunsAndLoads) {
     if (!can_fork)
-        GTEST_SKIP();
+        GTEST_SKIP() << "ThreadSanitizer ends a child that starts threads";
     for (int threads : {1, 2, 4}) {
         Ready ready(threads);
         expect_in_child([&] { return ready.release(), true; });
@@ -98,14 +98,14 @@ TEST(Process, AChildReleasesRunsAndLoads) {
 
 TEST(Process, AChildExits) {
     if (!can_fork)
-        GTEST_SKIP();
+        GTEST_SKIP() << "ThreadSanitizer ends a child that starts threads";
     Ready ready(2);
     expect_in_child([&]() -> bool { std::exit(ready.runs() ? 0 : 1); });
 }
 
 TEST(Process, AGrandchildRuns) {
     if (!can_fork)
-        GTEST_SKIP();
+        GTEST_SKIP() << "ThreadSanitizer ends a child that starts threads";
     Ready ready(2);
     expect_in_child([&] {
         bool right = ready.runs();
@@ -117,7 +117,7 @@ TEST(Process, AGrandchildRuns) {
 
 TEST(Process, ADenoiserThatRanElsewhereSaysSo) {
     if (!can_fork)
-        GTEST_SKIP();
+        GTEST_SKIP() << "ThreadSanitizer ends a child that starts threads";
     Ready ready(2);
     ready.denoiser->run([&](float done) {
         if (done == 0) // as if another thread had forked
@@ -137,7 +137,7 @@ TEST(Process, ADenoiserThatRanElsewhereSaysSo) {
 
 TEST(Process, AModelThatIsGoneIsNamed) {
     if (!can_fork)
-        GTEST_SKIP();
+        GTEST_SKIP() << "ThreadSanitizer ends a child that starts threads";
     const SpoiltModel spoilt("single-3");
     const Pixels color = noise(16, 16, 3, 1);
     const Model model(spoilt.path());
